@@ -1,0 +1,19 @@
+//! Cameras and what can be computed from them: pure functions, no files.
+//!
+//! Frames are OpenCV's throughout: x right, y down, z forward; pixel centres at whole coordinates;
+//! depth is z in the camera frame.
+
+mod camera;
+mod floor;
+mod warp;
+
+pub use camera::{Camera, Intrinsics, matrix4};
+pub use floor::{SurfacePoint, floor_frame};
+pub use warp::Warp;
+
+/// A point, in the frame and the units that the context says.
+pub type Point = nalgebra::Point3<f64>;
+/// A direction or a displacement.
+pub type Vector = nalgebra::Vector3<f64>;
+/// A rigid motion, for example from a camera's frame to the scene's.
+pub type Pose = nalgebra::Isometry3<f64>;

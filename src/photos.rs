@@ -1,0 +1,176 @@
+//! Photos as users give them, and the way back to them from what a network saw.
+
+mod jpeg;
+
+use crate::{Error, Result};
+use fast_image_resize as fir;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
+use serde::{Deserialize, Serialize};
+use std::{
+    fmt::Display,
+    fs,
+    io::Cursor,
+    path::{Path, PathBuf},
+};
+
+/// A photo file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Photo {
+    /// How the photo is called everywhere else; unique within a scene and free of path separators.
+    pub name: String,
+    /// The file.
+    pub path: PathBuf,
+    /// Whether the pixels are used as the sensor wrote them, whatever the EXIF orientation says: depth
+    /// maps and intrinsics recorded beside a photo usually refer to these.
+    #[serde(default)]
+    pub as_stored: bool,
+}
+
+impl Photo {
+    /// A photo that is turned upright when it is loaded.
+    pub fn new(name: impl Into<String>, path: impl Into<PathBuf>) -> Self {
+        Self {
+            name: name.into(),
+            path: path.into(),
+            as_stored: false,
+        }
+    }
+
+    /// The pixels, turned upright by the EXIF orientation unless [`Photo::as_stored`].
+    ///
+    /// # Errors
+    /// When the file cannot be read or is no picture that tid3r can decode.
+    pub fn load(&self) -> Result<RgbImage> {
+        let bytes = fs::read(&self.path).map_err(Error::io("read", &self.path))?;
+        // The decoder fills up with grey what a JPEG lacks.
+        if image::guess_format(&bytes).is_ok_and(|format| format == ImageFormat::Jpeg)
+            && !jpeg::is_whole(&bytes)
+        {
+            return Err(unreadable(&self.path, "it is cut short"));
+        }
+        let decoded = ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
+            .map_err(Error::io("read", &self.path))?
+            .into_decoder()
+            .and_then(|mut decoder| {
+                let orientation = decoder.orientation()?;
+                Ok((DynamicImage::from_decoder(decoder)?, orientation))
+            });
+        let (mut image, orientation) = decoded.map_err(|error| unreadable(&self.path, error))?;
+        if !self.as_stored {
+            image.apply_orientation(orientation);
+        }
+        Ok(image.into_rgb8())
+    }
+}
+
+/// The error about a file that cannot be decoded.
+pub(crate) fn unreadable(path: &Path, problem: impl Display) -> Error {
+    // Decoders write their messages over several lines.
+    let problem = problem.to_string();
+    let words: Vec<&str> = problem.split_whitespace().collect();
+    Error::file(
+        path,
+        format!("is not a readable picture ({})", words.join(" ")),
+        "give a whole PNG, JPEG or PNM file",
+    )
+}
+
+/// How a frame was cut out of a photo and resized: the photo's pixel rectangle, and the frame's size.
+///
+/// Sizes are those of the upright photo. Rectangles are in pixel *edges*: the whole photo is
+/// (0, 0) to (width, height).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PhotoTransform {
+    /// Width and height of the photo.
+    pub photo_size: [u32; 2],
+    /// Left and top edge of the part of the photo that was kept.
+    pub crop_origin: [f64; 2],
+    /// Width and height of that part.
+    pub crop_size: [f64; 2],
+    /// Width and height of the frame.
+    pub frame_size: [u32; 2],
+}
+
+impl PhotoTransform {
+    /// The whole photo, resized.
+    pub fn whole(photo_size: [u32; 2], frame_size: [u32; 2]) -> Self {
+        Self {
+            photo_size,
+            crop_origin: [0.0; 2],
+            crop_size: photo_size.map(f64::from),
+            frame_size,
+        }
+    }
+
+    /// Whether the kept part lies within the photo, and all sizes are above 0.
+    pub(crate) fn is_possible(&self) -> bool {
+        let sizes = self.photo_size.iter().chain(&self.frame_size);
+        let within = (0..2).all(|axis| {
+            let (from, length) = (self.crop_origin[axis], self.crop_size[axis]);
+            from >= 0.0 && length > 0.0 && from + length <= f64::from(self.photo_size[axis])
+        });
+        within && sizes.into_iter().all(|&side| side > 0)
+    }
+
+    /// The photo coordinates of frame coordinates (pixel centres at whole numbers in both).
+    pub fn to_photo(&self, frame: [f64; 2]) -> [f64; 2] {
+        std::array::from_fn(|a| {
+            let scale = self.crop_size[a] / f64::from(self.frame_size[a]);
+            (frame[a] + 0.5) * scale + self.crop_origin[a] - 0.5
+        })
+    }
+
+    /// Cuts and resizes `photo` (Lanczos, antialiased); a frame of the photo's own pixels is copied.
+    ///
+    /// # Errors
+    /// When `photo` does not have the size that this transform was made for.
+    pub fn apply(&self, photo: &RgbImage, path: &Path) -> Result<RgbImage> {
+        if [photo.width(), photo.height()] != self.photo_size {
+            return Err(Error::file(
+                path,
+                format!(
+                    "is {}x{} where {}x{} was expected",
+                    photo.width(),
+                    photo.height(),
+                    self.photo_size[0],
+                    self.photo_size[1]
+                ),
+                "give pictures of the size of the photos they stand for",
+            ));
+        }
+        if self.crop_origin == [0.0; 2] && self.frame_size == self.photo_size {
+            return Ok(photo.clone());
+        }
+        let size = self.frame_size;
+        Ok(cut_and_resize(
+            photo,
+            self.crop_origin,
+            self.crop_size,
+            size,
+        ))
+    }
+}
+
+/// The picture, resized (Lanczos, antialiased).
+pub fn resized(picture: &RgbImage, width: u32, height: u32) -> RgbImage {
+    let whole = [picture.width(), picture.height()].map(f64::from);
+    cut_and_resize(picture, [0.0; 2], whole, [width, height])
+}
+
+/// Resizes a part of a picture; the part must lie within it.
+fn cut_and_resize(
+    picture: &RgbImage,
+    [left, top]: [f64; 2],
+    [width, height]: [f64; 2],
+    size: [u32; 2],
+) -> RgbImage {
+    let mut result = RgbImage::new(size[0], size[1]);
+    let options = fir::ResizeOptions::new()
+        .crop(left, top, width, height)
+        .resize_alg(fir::ResizeAlg::Convolution(fir::FilterType::Lanczos3));
+    fir::Resizer::new()
+        .resize(picture, &mut result, &options)
+        .expect("both pictures are 8-bit RGB and the part lies within the picture");
+    result
+}
