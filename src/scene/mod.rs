@@ -1,0 +1,39 @@
+//! What the stages exchange, in memory and as a folder on disk.
+//!
+//! A scene folder holds
+//!
+//! ```text
+//! scene.json                      photos, cameras, scale, floor, which stages were run and how
+//! frames/NAME/colour.png          a photo as a network saw it
+//! frames/NAME/geometry.safetensors    depth and confidence
+//! frames/NAME/validity.safetensors    which points passed the cleaning
+//! frames/NAME/masks.safetensors       the frame's own masks
+//! frames/NAME/instances.safetensors   the scene's instances
+//! held_out/NAME/…                 photos kept apart to compare rendered views with
+//! instances.json                  the instances: name, size, where seen
+//! edits.json                      the list of edits
+//! points.ply                      the cleaned cloud, before edits
+//! contact_sheet.png, top_down.png every instance with its id
+//! views/                          rendered pictures
+//! timings.json                    how long each stage took (nothing else in the folder depends on the clock)
+//! ```
+//!
+//! Every stage owns its files. Each is written under a temporary name and renamed when whole;
+//! `scene.json` names a stage as done only after its last file. So a process killed at any moment
+//! leaves a scene that the next one can use.
+
+mod cloud;
+pub mod files;
+mod folder;
+mod frame;
+mod instances;
+mod manifest;
+#[cfg(test)]
+pub(crate) mod test_frames;
+
+pub use cloud::{Cloud, Source};
+pub use folder::{Role, Scene, WriteLock};
+pub use frame::{Frame, surface_points};
+pub use instances::InstanceRecord;
+pub(crate) use manifest::VERSION;
+pub use manifest::{FrameRecord, Hasher, Manifest, Scale, Stage, StageRecord};
