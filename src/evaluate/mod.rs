@@ -1,0 +1,35 @@
+//! How near a result is to a known truth: depth, instances, rendered views.
+//!
+//! Pure functions over maps, point labels and pictures; nothing here reads a file. Every number is the
+//! same whatever the number of threads.
+
+pub mod depth;
+pub mod image;
+pub mod instances;
+pub mod scene;
+
+use crate::Error;
+
+/// The complaint that `what` should have the size (width, height) of the truth and has not.
+fn size_mismatch(what: &str, size: (u32, u32), truth: (u32, u32)) -> Error {
+    Error::request(
+        format!(
+            "{what} is {}x{} pixels, its truth {}x{}",
+            size.0, size.1, truth.0, truth.1
+        ),
+        "resize one to the other first",
+    )
+}
+
+#[cfg(test)]
+mod pattern {
+    /// Numbers without a pattern from two whole numbers, the same in every language with 32-bit
+    /// wrapping arithmetic. The reference values in the tests are of inputs made with it.
+    pub(super) fn hash(a: u32, b: u32) -> u32 {
+        let mixed = a
+            .wrapping_mul(374_761_393)
+            .wrapping_add(b.wrapping_mul(668_265_263));
+        let mixed = (mixed ^ (mixed >> 13)).wrapping_mul(1_274_126_177);
+        mixed ^ (mixed >> 16)
+    }
+}
