@@ -1,0 +1,275 @@
+use super::{lens::Lens, poses::Rows};
+use crate::{Error, Result};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+/// What a recording holds, found without decoding a picture.
+pub(super) struct Listing {
+    /// In the recording's order, numbers strictly rising.
+    pub(super) entries: Vec<Entry>,
+    /// What the user should know.
+    pub(super) warnings: Vec<String>,
+}
+
+/// One photo of a recording and where its geometry is.
+pub(super) struct Entry {
+    /// The number by which users name it.
+    pub(super) number: u64,
+    /// What the photo is called, unique in the recording.
+    pub(super) name: String,
+    /// The photo.
+    pub(super) photo: PathBuf,
+    /// Its depth, if the recording has one.
+    pub(super) depth: Option<DepthSource>,
+    /// Its pose.
+    pub(super) pose: PoseSource,
+    /// Its lens.
+    pub(super) lens: Lens,
+    /// The file that states the lens, or the recording if an option does; for messages.
+    pub(super) lens_from: PathBuf,
+}
+
+/// Where the depth of a photo is.
+#[derive(Clone, Debug)]
+pub(super) enum DepthSource {
+    /// In a 16-bit picture.
+    Picture {
+        path: PathBuf,
+        units_per_length: f64,
+    },
+    /// In the array `depths` of an archive, in scene units.
+    Archive {
+        path: PathBuf,
+        index: usize,
+        size: [u32; 2],
+    },
+}
+
+impl DepthSource {
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        match self {
+            Self::Picture { path, .. } | Self::Archive { path, .. } => path,
+        }
+    }
+}
+
+/// Where the pose of a photo is.
+#[derive(Clone, Debug)]
+pub(super) enum PoseSource {
+    /// In a file of its own, which may be missing.
+    File(PathBuf),
+    /// Read along with all others from this file; `None` where the camera was lost.
+    Known(PathBuf, Option<Rows>),
+}
+
+impl PoseSource {
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        match self {
+            Self::File(path) | Self::Known(path, _) => path,
+        }
+    }
+
+    /// The 4x4 matrix; `None` where the recording has none.
+    pub(super) fn load(&self) -> Result<Option<Rows>> {
+        match self {
+            Self::Known(_, rows) => Ok(*rows),
+            Self::File(path) => {
+                let text = match fs::read_to_string(path) {
+                    Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+                    text => text.map_err(Error::io("read", path))?,
+                };
+                super::poses::matrix(&text).map_err(|problem| {
+                    Error::file(
+                        path,
+                        format!("is not a pose: {problem}"),
+                        "write the camera-to-world matrix, or leave the frame out with --frames",
+                    )
+                })
+            }
+        }
+    }
+}
+
+/// The names in a folder, sorted; those that are not UTF-8 are left out.
+pub(super) fn names(folder: &Path) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        let entry = entry.map_err(Error::io("read", folder))?;
+        names.extend(entry.file_name().into_string());
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Endings of photos, in lower case.
+pub(super) const PHOTO_ENDINGS: [&str; 5] = ["png", "jpg", "jpeg", "ppm", "pgm"];
+/// Endings of depth pictures, in lower case.
+pub(super) const DEPTH_ENDINGS: [&str; 2] = ["png", "pgm"];
+
+/// The pictures of a folder.
+pub(super) struct Pictures {
+    /// In natural order of their names (9 before 10).
+    pub(super) files: Vec<Picture>,
+    /// Whether [`Picture::number`] is from the names; else it is the place, from 0.
+    pub(super) numbered: bool,
+}
+
+/// A picture of a folder.
+pub(super) struct Picture {
+    pub(super) number: u64,
+    pub(super) stem: String,
+    pub(super) path: PathBuf,
+}
+
+impl Pictures {
+    /// Those of `folder` with one of the `endings`.
+    ///
+    /// A picture's number is the last one in its name, if these numbers rise all along the folder;
+    /// fractions (`1305031102.175304`, a time) are no numbers.
+    pub(super) fn list(folder: &Path, endings: &[&str]) -> Result<Self> {
+        let mut found: Vec<(String, PathBuf)> = names(folder)?
+            .into_iter()
+            .filter_map(|name| {
+                let (stem, ending) = name.rsplit_once('.')?;
+                let wanted = endings.contains(&ending.to_ascii_lowercase().as_str());
+                (wanted && !stem.is_empty()).then(|| (stem.to_string(), folder.join(&name)))
+            })
+            .collect();
+        if found.is_empty() {
+            return Err(Error::file(
+                folder,
+                format!("holds no picture ending in .{}", endings.join(", .")),
+                "check that this is the recording's folder",
+            ));
+        }
+        found.sort_by_cached_key(|(stem, path)| (natural_key(stem), path.clone()));
+        let numbers: Option<Vec<u64>> = found.iter().map(|(stem, _)| last_number(stem)).collect();
+        let numbers = numbers.filter(|numbers| numbers.is_sorted_by(|a, b| a < b));
+        let numbered = numbers.is_some();
+        let numbers = numbers.unwrap_or_else(|| (0..found.len() as u64).collect());
+        let files = found.into_iter().zip(numbers);
+        let files = files.map(|((stem, path), number)| Picture { number, stem, path });
+        Ok(Self {
+            files: files.collect(),
+            numbered,
+        })
+    }
+
+    /// What users should know of the numbers.
+    pub(super) fn warnings(&self, folder: &Path) -> Vec<String> {
+        let by_place = || {
+            format!(
+                "{}: the names hold no rising numbers; frames are numbered by their place in \
+                 alphabetical order, from 0",
+                folder.display()
+            )
+        };
+        (!self.numbered).then(by_place).into_iter().collect()
+    }
+
+    /// Names for the photos that are unique: stems, or whole file names where stems are not.
+    pub(super) fn unique_names(&self) -> Vec<String> {
+        let mut stems: Vec<&str> = self.files.iter().map(|file| &*file.stem).collect();
+        stems.sort_unstable();
+        let unique = stems.is_sorted_by(|a, b| a < b);
+        let name = |file: &Picture| {
+            let whole = file.path.file_name().map(|name| name.to_string_lossy());
+            whole
+                .filter(|_| !unique)
+                .map_or_else(|| file.stem.clone(), Into::into)
+        };
+        self.files.iter().map(name).collect()
+    }
+}
+
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+enum Chunk {
+    /// A run of digits without its leading zeros, the shorter being the smaller.
+    Number(usize, String),
+    Text(String),
+}
+
+/// A key that sorts runs of digits by their value.
+fn natural_key(name: &str) -> Vec<Chunk> {
+    name.as_bytes()
+        .chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
+        .map(|run| {
+            // Cutting at ASCII digits cuts between characters.
+            let text = String::from_utf8_lossy(run);
+            if run[0].is_ascii_digit() {
+                let digits = text.trim_start_matches('0');
+                Chunk::Number(digits.len(), digits.to_string())
+            } else {
+                Chunk::Text(text.into_owned())
+            }
+        })
+        .collect()
+}
+
+fn last_number(stem: &str) -> Option<u64> {
+    let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
+    let before = stem[..end].trim_end_matches(|c: char| c.is_ascii_digit());
+    if before.ends_with('.') {
+        return None;
+    }
+    stem[before.len()..end].parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pictures(names: &[&str]) -> (Vec<(u64, String)>, bool) {
+        let folder = tempfile::tempdir().unwrap();
+        for name in names {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let pictures = Pictures::list(folder.path(), &PHOTO_ENDINGS).unwrap();
+        let unique = pictures.unique_names();
+        let files = pictures.files.iter().zip(unique);
+        (
+            files.map(|(file, name)| (file.number, name)).collect(),
+            pictures.numbered,
+        )
+    }
+
+    #[test]
+    fn numbers_are_sorted_by_value_and_strangers_left_out() {
+        let (files, numbered) = pictures(&["10.png", "9.JPG", "0.png", "notes.txt", ".png", "x"]);
+        let want = [(0, "0"), (9, "9"), (10, "10")];
+        assert_eq!(files, want.map(|(n, name)| (n, name.to_string())));
+        assert!(numbered);
+    }
+
+    #[test]
+    fn the_last_number_of_a_name_counts() {
+        let (files, numbered) = pictures(&["s2_v10b.png", "s2_v0009b.png"]);
+        assert_eq!(files.iter().map(|f| f.0).collect::<Vec<_>>(), [9, 10]);
+        assert!(numbered);
+    }
+
+    #[test]
+    fn names_without_rising_numbers_are_numbered_by_place() {
+        for names in [
+            ["1305031102.175304.png", "1305031102.211214.png"],
+            ["kitchen.png", "lamp.png"],
+            ["a1.png", "b1.png"],
+            ["a99999999999999999999.png", "b1.png"],
+        ] {
+            let (files, numbered) = pictures(&names);
+            assert_eq!(files.iter().map(|f| f.0).collect::<Vec<_>>(), [0, 1]);
+            assert!(!numbered, "{names:?}");
+        }
+    }
+
+    #[test]
+    fn photos_with_one_stem_keep_their_endings() {
+        let (files, _) = pictures(&["1.png", "1.jpg"]);
+        let want = [(0, "1.jpg"), (1, "1.png")];
+        assert_eq!(files, want.map(|(n, name)| (n, name.to_string())));
+    }
+}

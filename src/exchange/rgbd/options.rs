@@ -1,0 +1,161 @@
+use super::{FrameList, Lens};
+use crate::parameters;
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// How to read an RGB-D recording.
+#[derive(Clone, Debug, PartialEq, Args, Serialize)]
+pub struct ImportOptions {
+    /// How the recording's folder is laid out.
+    #[arg(long, value_enum, default_value_t = ImportOptions::default().layout)]
+    pub layout: LayoutChoice,
+
+    /// Lens of all photos, in pixels; replaces what the recording says.
+    #[arg(long, value_name = "FX,FY,CX,CY", allow_hyphen_values = true)]
+    pub intrinsics: Option<Lens>,
+
+    /// The image that the intrinsics refer to, where photos and depth differ in size; if not given,
+    /// the one whose centre is nearer to the principal point.
+    #[arg(long, value_enum, value_name = "IMAGE")]
+    pub intrinsics_for: Option<IntrinsicsImage>,
+
+    /// Depth values per metre: often 1000, for TUM recordings 5000. seven-scenes has 1000 by
+    /// default, color-depth needs it, npz has none.
+    #[arg(long, value_name = "UNITS", value_parser = parameters::positive)]
+    pub depth_scale: Option<f64>,
+
+    /// File of camera poses, one line `tx ty tz qx qy qz qw` per photo (color-depth only); if not
+    /// given, pose.txt, poses.txt or trajectory.txt in the folder.
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+
+    /// Photos to use, by the numbers in their names, as in 3,10,20-100:10 (20 to 100 in tens); the
+    /// first may serve as the reference view.
+    #[arg(long, value_name = "LIST")]
+    pub frames: Option<FrameList>,
+
+    /// Photos to hold out as test views, by number.
+    #[arg(long, value_name = "LIST")]
+    pub test_frames: Option<FrameList>,
+
+    /// Without --frames, use at most this many photos, evenly spaced.
+    #[arg(long, value_name = "N", default_value_t = ImportOptions::default().max_frames,
+          value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_frames: u32,
+
+    /// Longer side of the frames, at most; depth is never enlarged.
+    #[arg(long, value_name = "PX", default_value_t = ImportOptions::default().max_size,
+          value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_size: u32,
+
+    /// Nearer depth is taken for unknown (metres, or the recording's units).
+    #[arg(long, value_name = "DEPTH", default_value_t = ImportOptions::default().min_depth,
+          value_parser = parameters::not_negative)]
+    pub min_depth: f64,
+
+    /// Farther depth is taken for unknown.
+    #[arg(long, value_name = "DEPTH", value_parser = parameters::positive)]
+    pub max_depth: Option<f64>,
+}
+
+impl Default for ImportOptions {
+    fn default() -> Self {
+        Self {
+            layout: LayoutChoice::Auto,
+            intrinsics: None,
+            intrinsics_for: None,
+            depth_scale: None,
+            poses: None,
+            frames: None,
+            test_frames: None,
+            max_frames: 20,
+            max_size: 640,
+            min_depth: 0.0,
+            max_depth: None,
+        }
+    }
+}
+
+/// The layout that a user asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LayoutChoice {
+    /// Look at what the folder holds.
+    Auto,
+    /// frame-N.color.png, frame-N.depth.png, frame-N.pose.txt (7-Scenes, 3DMatch).
+    SevenScenes,
+    /// rgb/ and condition.npz.
+    Npz,
+    /// color/ (or rgb/), depth/ and a file of poses.
+    ColorDepth,
+}
+
+/// The image that intrinsics refer to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum IntrinsicsImage {
+    /// The photos.
+    Photo,
+    /// The depth images.
+    Depth,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Command {
+        #[command(flatten)]
+        options: ImportOptions,
+    }
+
+    fn parse(arguments: &str) -> Result<ImportOptions, clap::Error> {
+        let words = std::iter::once("import").chain(arguments.split_whitespace());
+        Command::try_parse_from(words).map(|command| command.options)
+    }
+
+    #[test]
+    fn no_arguments_are_the_defaults() {
+        assert_eq!(parse("").unwrap(), ImportOptions::default());
+    }
+
+    #[test]
+    fn arguments_reach_their_fields() {
+        let options = parse(
+            "--layout color-depth --intrinsics -518,519,325.5,253.5 --intrinsics-for depth \
+             --depth-scale 1000 --frames 0-20:10 --test-frames 5 --max-depth 4",
+        )
+        .unwrap();
+        assert_eq!(options.layout, LayoutChoice::ColorDepth);
+        assert_eq!(options.intrinsics.unwrap().fx, -518.0);
+        assert_eq!(options.intrinsics_for, Some(IntrinsicsImage::Depth));
+        assert_eq!(options.depth_scale, Some(1000.0));
+        assert_eq!(options.max_depth, Some(4.0));
+        let json = serde_json::to_value(&options).unwrap();
+        assert_eq!(json["frames"], "0-20:10");
+        assert_eq!(json["layout"], "color-depth");
+        assert_eq!(json["intrinsics"], "-518,519,325.5,253.5");
+    }
+
+    #[test]
+    fn bad_syntax_is_wrong_usage() {
+        for arguments in [
+            "--layout tum",
+            "--intrinsics 1,2,3",
+            "--intrinsics-for both",
+            "--frames 9-3",
+            "--test-frames x",
+            "--max-frames 0",
+            "--max-size 0",
+            "--depth-scale 0",
+            "--depth-scale nan",
+            "--max-depth 0",
+            "--min-depth inf",
+        ] {
+            assert_eq!(parse(arguments).unwrap_err().exit_code(), 2, "{arguments}");
+        }
+    }
+}
