@@ -1,0 +1,110 @@
+//! The command line: one file for each verb. Verbs read arguments, call the library and print.
+
+mod clean;
+mod completions;
+mod demo;
+mod edit;
+mod evaluate;
+mod export;
+mod import;
+mod output;
+mod render;
+mod segment;
+pub(crate) mod terminal;
+
+use anyhow::{Context, Result};
+use clap::{ArgAction, Args, Parser, Subcommand};
+use std::path::PathBuf;
+use terminal::Terminal;
+
+/// Turns a few photos of a room into a 3D point cloud of separate, named objects, lets you remove,
+/// move or recolour them, and renders pictures of the edited room.
+#[derive(Debug, Parser)]
+#[command(
+    name = "tid3r",
+    version,
+    propagate_version = true,
+    subcommand_required = true
+)]
+#[command(after_help = "Start with `tid3r demo`, or `tid3r import RECORDING -o SCENE`.")]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    global: Global,
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+/// What every verb understands.
+#[derive(Debug, Args)]
+struct Global {
+    /// Worker threads; results do not depend on it [default: one for each core]
+    #[arg(long, global = true, value_name = "N", help_heading = "Global options",
+          value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Say less: errors only
+    #[arg(
+        short,
+        long,
+        global = true,
+        help_heading = "Global options",
+        conflicts_with = "verbose"
+    )]
+    quiet: bool,
+    /// Say more (-vv: even more)
+    #[arg(short, long, global = true, action = ArgAction::Count, help_heading = "Global options")]
+    verbose: u8,
+}
+
+/// What each does is said where it is defined: words here would hide those from the help.
+#[derive(Debug, Subcommand)]
+enum Verb {
+    Import(import::Import),
+    Clean(clean::Clean),
+    Segment(segment::Segment),
+    Edit(edit::Edit),
+    Render(render::Render),
+    Export(export::Export),
+    Evaluate(evaluate::Evaluate),
+    Demo(demo::Demo),
+    Completions(completions::Completions),
+}
+
+impl Cli {
+    /// Does what was asked for.
+    pub(crate) fn run(self) -> Result<()> {
+        terminal::start_logging(self.global.quiet, self.global.verbose);
+        if let Some(threads) = self.global.threads {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads.into())
+                .build_global()
+                .context("cannot start the worker threads")?;
+        }
+        let terminal = Terminal::new(self.global.quiet);
+        match self.verb {
+            Verb::Import(verb) => verb.run(&terminal),
+            Verb::Clean(verb) => verb.run(&terminal),
+            Verb::Segment(verb) => verb.run(&terminal),
+            Verb::Edit(verb) => verb.run(),
+            Verb::Render(verb) => verb.run(&terminal),
+            Verb::Export(verb) => verb.run(),
+            Verb::Evaluate(verb) => verb.run(&terminal),
+            Verb::Demo(verb) => verb.run(&terminal),
+            Verb::Completions(verb) => verb.run(),
+        }
+    }
+}
+
+/// Whether the reader of our output has gone away, which is no failure.
+pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error
+        .downcast_ref::<std::io::Error>()
+        .is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// The scene that a verb works on.
+#[derive(Debug, Args)]
+struct SceneArgument {
+    /// The scene's folder
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+}

@@ -1,0 +1,198 @@
+use super::{SceneArgument, output, terminal::Terminal};
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use std::{path::PathBuf, time::Instant};
+use tid3r::{
+    Error,
+    geometry::{Camera, Point},
+    render::{
+        Bare, Completer, EditedScene, PathFile, ReferenceParams, Rendering, SplatParams, between,
+        fill::Fill, orbit,
+    },
+    scene::{Role, Scene, WriteLock},
+};
+
+const PATH_FORMAT: &str = r#"A camera path (--path) is a JSON file:
+  {"views": [{"name": "door",
+              "cam_to_world": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]],
+              "intrinsics": {"width": 640, "height": 480, "fx": 518, "fy": 519, "cx": 319.5, "cy": 239.5}},
+             ...],
+   "steps": 10}
+Poses are OpenCV's (x right, y down, z forward) in the scene's frame, rows first. "name" and
+"intrinsics" may be left out; so may "steps", the number of cameras between each two views. Every
+rendered view comes with NAME.json, which has the form of an entry of "views"."#;
+
+/// Render pictures of the edited scene.
+///
+/// Writes NAME.png, the projection before completion (NAME.projection.png) and its mask
+/// (NAME.mask.png) into the scene's views/ folder. Without a choice of cameras, renders the scene's
+/// held-out views, or its first photo's if there are none.
+#[derive(Debug, Args)]
+#[command(after_help = PATH_FORMAT)]
+pub(super) struct Render {
+    #[command(flatten)]
+    scene: SceneArgument,
+    #[command(flatten)]
+    cameras: Cameras,
+    /// How empty pixels are completed
+    #[arg(long, value_enum, default_value_t = Refine::Fill)]
+    refine: Refine,
+    #[command(flatten)]
+    splats: SplatParams,
+    #[command(flatten)]
+    references: ReferenceParams,
+    /// The folder to write to [default: views/ in the scene]
+    #[arg(short, long, value_name = "FOLDER")]
+    output: Option<PathBuf>,
+    /// Print what was written as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// From where.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Cameras")]
+struct Cameras {
+    /// Where these photos were taken, by name
+    #[arg(long, value_name = "PHOTO", num_args = 1.., value_delimiter = ',')]
+    at: Vec<String>,
+    /// Between two photos, by name
+    #[arg(long, value_names = ["PHOTO", "PHOTO"], num_args = 2)]
+    between: Vec<String>,
+    /// How many views --between and --orbit give
+    #[arg(long, value_name = "N", default_value_t = 8,
+          value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    steps: u16,
+    /// Around the middle of the scene
+    #[arg(long)]
+    orbit: bool,
+    /// A path in a JSON file (see below)
+    #[arg(long, value_name = "FILE")]
+    path: Option<PathBuf>,
+    /// The held-out test views
+    #[arg(long)]
+    test_views: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Refine {
+    /// Not at all: the bare projection
+    None,
+    /// By what the photos agree on, and smooth colour elsewhere
+    Fill,
+}
+
+impl Refine {
+    fn completer(self) -> &'static dyn Completer {
+        match self {
+            Self::None => &Bare,
+            Self::Fill => &Fill,
+        }
+    }
+}
+
+impl Render {
+    pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
+        let start = Instant::now();
+        let scene = Scene::open(&self.scene.scene)?;
+        let lock = WriteLock::acquire(scene.folder())?;
+        let edited = EditedScene::load(&scene)?;
+        let cameras = self.cameras.choose(&scene, &edited)?;
+        let folder = self.output.unwrap_or_else(|| scene.folder().join("views"));
+        let rendering = Rendering {
+            completer: self.refine.completer(),
+            splats: self.splats,
+            references: self.references,
+        };
+        let views = rendering.write(&edited, &cameras, &folder, &lock, terminal)?;
+        scene.write_timing("render", start, &lock)?;
+        if self.json {
+            return output::json(&views);
+        }
+        for view in views {
+            let covered = 100.0 * view.covered;
+            output::line(format!(
+                "{}  ({covered:.1} % covered by points)",
+                view.picture.display()
+            ))?;
+        }
+        Ok(())
+    }
+}
+
+impl Cameras {
+    fn choose(&self, scene: &Scene, edited: &EditedScene) -> Result<Vec<(String, Camera)>> {
+        let inputs = scene.records(Role::Input);
+        let held_out = scene.records(Role::HeldOut);
+        let mut cameras: Vec<(String, Camera)> = Vec::new();
+        for name in &self.at {
+            cameras.push((name.clone(), self.find(scene, name)?));
+        }
+        if let [from, to] = &self.between[..] {
+            let (a, b) = (self.find(scene, from)?, self.find(scene, to)?);
+            for step in 1..=self.steps {
+                let share = f64::from(step) / f64::from(self.steps + 1);
+                cameras.push((format!("{from}_to_{to}_{step:04}"), between(&a, &b, share)));
+            }
+        }
+        if self.orbit {
+            let first = inputs.first().ok_or_else(|| no_photos(scene))?;
+            let floor = &scene.manifest().floor_to_world;
+            let around = orbit(&first.camera, &middle(edited), floor, self.steps.into());
+            let named = around.into_iter().enumerate();
+            cameras.extend(named.map(|(k, camera)| (format!("orbit_{k:04}"), camera)));
+        }
+        if let Some(path) = &self.path {
+            let first = inputs.first().ok_or_else(|| no_photos(scene))?;
+            cameras.extend(PathFile::cameras(path, &first.camera.intrinsics)?);
+        }
+        if self.test_views && held_out.is_empty() {
+            return Err(Error::request(
+                "the scene has no held-out views",
+                "import it with --test-frames, or choose other cameras",
+            )
+            .into());
+        }
+        if self.test_views || cameras.is_empty() {
+            let fallback = if held_out.is_empty() {
+                &inputs[..inputs.len().min(1)]
+            } else {
+                held_out
+            };
+            let named = fallback
+                .iter()
+                .map(|record| (record.photo.name.clone(), record.camera));
+            cameras.extend(named);
+        }
+        Ok(cameras)
+    }
+
+    fn find(&self, scene: &Scene, name: &str) -> Result<Camera> {
+        let all = || {
+            scene
+                .records(Role::Input)
+                .iter()
+                .chain(scene.records(Role::HeldOut))
+        };
+        let found = all().find(|record| record.photo.name == *name);
+        found.map(|record| record.camera).ok_or_else(|| {
+            let names: Vec<&str> = all().map(|record| &*record.photo.name).collect();
+            let remedy = format!("the photos are {}", names.join(", "));
+            Error::request(format!("there is no photo '{name}'"), remedy).into()
+        })
+    }
+}
+
+fn no_photos(scene: &Scene) -> Error {
+    Error::file(scene.folder(), "has no photos", "import it again")
+}
+
+/// The middle of the cloud, but for stray points.
+fn middle(edited: &EditedScene) -> Point {
+    let cloud = &edited.edited.cloud;
+    Point::from(std::array::from_fn::<f64, 3, _>(|axis| {
+        let mut values: Vec<f32> = cloud.positions.iter().map(|p| p[axis]).collect();
+        values.sort_unstable_by(f32::total_cmp);
+        values.get(values.len() / 2).copied().map_or(0.0, f64::from)
+    }))
+}

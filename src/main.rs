@@ -1,0 +1,17 @@
+//! The command `tid3r`.
+
+mod cli;
+
+use clap::Parser;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match cli::Cli::parse().run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if cli::is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            cli::terminal::complain(&error);
+            ExitCode::FAILURE
+        }
+    }
+}
