@@ -1,0 +1,22 @@
+//! The program `tid3r`, driven as a user drives it: arguments in; exit code, output and files out.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test that cannot go on says where it stopped"
+)]
+
+mod broken;
+mod damaged_scene;
+mod demo;
+mod edit;
+mod evaluate;
+mod export;
+mod import;
+mod killed;
+mod place;
+mod recording;
+mod render;
+mod stages;
+mod usage;
+
+use place::Place;

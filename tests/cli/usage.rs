@@ -1,0 +1,141 @@
+use crate::{Place, place::PROGRAM};
+use std::process::{Command, Stdio};
+
+#[test]
+fn every_verb_explains_itself() {
+    let place = Place::new();
+    for (verb, options) in [
+        (
+            "import",
+            &[
+                "--frames",
+                "--test-frames",
+                "--layout",
+                "--depth-scale",
+                "--force",
+            ][..],
+        ),
+        ("clean", &["--tau", "--agreement", "--json"]),
+        ("segment", &["--masks", "--eta", "--no-unify", "--json"]),
+        ("edit", &["remove", "move", "recolour", "undo"]),
+        ("edit scene move", &["--by", "--to", "--turn", "--scale"]),
+        ("edit scene recolour", &["--to", "--hue"]),
+        (
+            "render",
+            &[
+                "--at",
+                "--between",
+                "--orbit",
+                "--path",
+                "--refine",
+                "\"cam_to_world\"",
+            ],
+        ),
+        ("export", &["--output", "--only", "PLY"]),
+        (
+            "evaluate",
+            &["--truth", "--truth-labels", "--truth-views", "--align"],
+        ),
+        ("demo", &["--output", "--seed", "--width", "--json"]),
+        ("completions", &["bash", "zsh", "fish"]),
+        ("", &["import", "segment", "demo", "--version"]),
+    ] {
+        let help = place.run(&format!("{verb} --help"));
+        for option in options {
+            assert!(help.contains(option), "{verb}: {option} in {help}");
+        }
+    }
+    let version = place.run("--version");
+    assert!(version.starts_with("tid3r 0."), "{version}");
+}
+
+#[test]
+fn completions_name_the_verbs() {
+    for shell in ["bash", "zsh", "fish"] {
+        let script = Place::new().run(&format!("completions {shell}"));
+        for verb in ["import", "segment", "evaluate"] {
+            assert!(script.contains(verb), "{shell}");
+        }
+    }
+}
+
+#[test]
+fn wrong_usage_has_an_exit_code_of_its_own() {
+    let place = Place::new();
+    for arguments in [
+        "",
+        "reconstrcut",
+        "clean",
+        "import recording",
+        "import recording -o scene --frames 5-",
+        "import recording -o scene --frames 9-3",
+        "import recording -o scene --max-frames 0",
+        "import recording -o scene --depth-scale nan",
+        "import recording -o scene --min-depth -1",
+        "import recording -o scene --intrinsics 1,2,3",
+        "clean scene --tau 1.5",
+        "clean scene --agreement x",
+        "segment scene --eta nan",
+        "segment scene --depth-tolerance=-3",
+        "segment scene --fragment 2",
+        "segment scene --min-mask-area inf",
+        "segment scene --superpixel-scale nan",
+        "render scene --point-size 0",
+        "render scene --point-size nan",
+        "render scene --steps 0",
+        "render scene --between a",
+        "render scene --refine best",
+        "edit scene",
+        "edit scene remove",
+        "edit scene move 1 --by 1,2",
+        "edit scene move 1 --to 1,nan",
+        "edit scene move 1 --scale 0",
+        "edit scene recolour 1 --to red",
+        "edit scene recolour 1 --to #112233 --hue 5",
+        "demo --width 10",
+        "demo --seed x",
+        "demo --threads 0",
+        "demo -q -v",
+        "completions csh",
+    ] {
+        place.misuse(arguments);
+    }
+    assert_eq!(place.files("."), Default::default(), "nothing is written");
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_failure() {
+    let place = Place::with_scene();
+    for arguments in [
+        "completions zsh",
+        "edit scene list --json",
+        "edit scene list",
+        "evaluate scene --json",
+        "clean scene --json",
+        "render scene",
+    ] {
+        let mut child = Command::new(PROGRAM)
+            .args(arguments.split_whitespace())
+            .current_dir(place.folder())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(
+            (output.status.code(), &*error),
+            (Some(0), ""),
+            "{arguments}"
+        );
+    }
+}
+
+#[test]
+fn quiet_silences_warnings() {
+    let place = Place::with_recording();
+    let [_, warnings] = place.run_loud("import recording -o scene --max-frames 3");
+    assert!(warnings.contains("using 3 of 7 frames"), "{warnings}");
+    place.run("import recording -o other --max-frames 3 --quiet");
+}
