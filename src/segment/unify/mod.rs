@@ -164,8 +164,7 @@ pub fn without_unification(labels: &[Map<u32>]) -> Instances {
     }
 }
 
-/// Numbers the groups that are left in order of decreasing area. Groups without a single valid point are
-/// no 3D objects: their pixels have no instance.
+/// Numbers the groups that are left in order of decreasing area.
 fn number(
     validity: &[Map<bool>],
     groups: &Groups,
@@ -174,16 +173,8 @@ fn number(
     passes: usize,
 ) -> Instances {
     let mut area = vec![0_u64; groups.len()];
-    for (roots, valid) in instance_of_pixel.iter().zip(validity) {
-        for (root, _) in roots
-            .iter()
-            .zip(valid.values())
-            .filter(|(_, valid)| **valid)
-        {
-            if let Some(root) = root {
-                area[*root as usize] += 1;
-            }
-        }
+    for root in instance_of_pixel.iter().flatten().flatten() {
+        area[*root as usize] += 1;
     }
     let mut order: Vec<u32> = (0..groups.len() as u32)
         .filter(|&root| area[root as usize] > 0)

@@ -202,7 +202,7 @@ fn a_mask_without_any_point_is_no_instance() {
     for (index, valid) in scene.1[0].values_mut().iter_mut().enumerate() {
         *valid = index % 32 != 0;
     }
-    let instances = run(&scene, &EXACT);
+    let instances = run(&scene, &EXACT).with_points(&scene.1);
     assert_eq!(instances.scores.len(), 1);
     assert_eq!((at(&instances, 0, 0, 0), at(&instances, 0, 1, 0)), (0, 1));
 }
@@ -213,7 +213,7 @@ fn a_frame_without_depth_takes_no_part() {
     let frames = vec![frame(0.0, Map::filled(32, 24, 0.0)), facing_wall(0.0, 4.0)];
     let validity: Vec<Map<bool>> = frames.iter().map(|f| f.depth.map(|&z| z > 0.0)).collect();
     let labels = vec![Map::filled(32, 24, 1), Map::filled(32, 24, 1)];
-    let instances = unify(&frames, &validity, &labels, &EXACT, &Silent);
+    let instances = unify(&frames, &validity, &labels, &EXACT, &Silent).with_points(&validity);
     assert_eq!(instances.scores.len(), 1);
     assert!(instances.labels[0].values().iter().all(|&id| id == 0));
 }
