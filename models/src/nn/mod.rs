@@ -2,7 +2,7 @@
 //!
 //! A network calls these, and candle itself only to move numbers about (reshape, transpose, add,
 //! concatenate). What costs time is behind this module: [`Linear`], [`LayerNorm`], [`gelu`],
-//! [`attention`] and [`Rotation::apply`]. To make one faster on CPUs, replace its inside; the
+//! [`attention()`] and [`Rotation::apply`]. To make one faster on CPUs, replace its inside; the
 //! parity tests then tell whether it still computes the same.
 //!
 //! Tokens are `(batch, tokens, channels)`; what attention works on is
