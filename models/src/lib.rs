@@ -15,7 +15,7 @@
 //! A network is written against the original's definition first and proven by the parity tests in
 //! `tests/`: recorded inputs, outputs and intermediate tensors of the original code on synthetic
 //! weights, every tensor within the relative L2 error that its case allows. A new layer or network
-//! comes with its cases in `tests/fixtures/reference/` at the root of the repository.
+//! comes with its cases in `tests/fixtures/cases/` at the root of the repository.
 //!
 //! Of MV-DUSt3R there is the encoder. Its decoder, heads and the `decoder_embed` layer between
 //! encoder and decoder go into `mvdust3r/` beside it; cross-attention goes into [`nn`].
@@ -23,8 +23,8 @@
 //! Errors are [`candle_core::Error`]: a missing or misshapen weight is reported with its name, an
 //! input that a network cannot take with its shape.
 
-// A `VarBuilder` is a cheap handle; constructors take it by value, as all of candle's do.
-#![allow(clippy::needless_pass_by_value)]
-
 pub mod mvdust3r;
 pub mod nn;
+mod weights;
+
+pub use weights::{Parameter, Weights};

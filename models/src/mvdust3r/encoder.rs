@@ -1,10 +1,10 @@
 //! The encoder.
 
-use candle_core::{Module, Result, Tensor};
-use candle_nn::VarBuilder;
+use candle_core::{Result, Tensor};
 
 use super::{Config, PatchEmbed};
-use crate::nn::{EncoderBlock, LayerNorm, Rope2d};
+use crate::Weights;
+use crate::nn::{EncoderBlock, LayerNorm, NORM_EPS, Rope2d};
 
 /// The encoder of MV-DUSt3R: a vision transformer that turns each photo alone into tokens.
 #[derive(Clone, Debug)]
@@ -16,24 +16,24 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// Reads `patch_embed`, `enc_blocks` and `enc_norm` from `vb`, the root of the network.
+    /// Reads `patch_embed`, `enc_blocks` and `enc_norm` from `weights`, those of the network.
     ///
     /// # Errors
     ///
-    /// If the sizes in `config` do not fit each other, or `vb` lacks a tensor or has it in another
-    /// shape.
-    pub fn new(config: &Config, vb: VarBuilder<'_>) -> Result<Self> {
+    /// If the sizes in `config` do not fit each other, or `weights` lacks a tensor or has it in
+    /// another shape.
+    pub fn new(config: &Config, weights: &Weights) -> Result<Self> {
         config.validate()?;
         let (channels, heads) = (config.enc_embed_dim, config.enc_num_heads);
         let hidden = config.mlp_ratio * channels;
-        let blocks = vb.pp("enc_blocks");
+        let blocks = weights.pp("enc_blocks");
         Ok(Self {
             rope: Rope2d::new(channels / heads, config.pos_embed.base)?,
-            patch_embed: PatchEmbed::new(config.patch_size, channels, vb.pp("patch_embed"))?,
+            patch_embed: PatchEmbed::new(config.patch_size, channels, &weights.pp("patch_embed"))?,
             blocks: (0..config.enc_depth)
-                .map(|i| EncoderBlock::new(channels, heads, hidden, blocks.pp(i)))
+                .map(|i| EncoderBlock::new(channels, heads, hidden, &blocks.pp(i)))
                 .collect::<Result<_>>()?,
-            norm: LayerNorm::new(channels, EncoderBlock::NORM_EPS, vb.pp("enc_norm"))?,
+            norm: LayerNorm::new(channels, NORM_EPS, &weights.pp("enc_norm"))?,
         })
     }
 

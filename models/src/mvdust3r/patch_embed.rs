@@ -1,9 +1,9 @@
 //! From pixels to tokens.
 
-use candle_core::{Module, Result, Tensor, bail};
-use candle_nn::VarBuilder;
+use candle_core::{Result, Tensor, bail};
 
-use crate::nn::Linear;
+use crate::Weights;
+use crate::nn::{Activation, Linear};
 
 /// The patches of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,20 +37,17 @@ pub struct PatchEmbed {
 impl PatchEmbed {
     const COLOURS: usize = 3;
 
-    /// Reads `proj.weight` (channels, 3, patch, patch) and `proj.bias` (channels) from `vb`.
+    /// Reads `proj.weight` (channels, 3, patch, patch) and `proj.bias` (channels).
     ///
     /// # Errors
     ///
-    /// If `patch` is 0, or `vb` lacks a tensor or has it in another shape.
-    pub fn new(patch: usize, channels: usize, vb: VarBuilder<'_>) -> Result<Self> {
+    /// If `patch` is 0, or `weights` lacks a tensor or has it in another shape.
+    pub fn new(patch: usize, channels: usize, weights: &Weights) -> Result<Self> {
         if patch == 0 {
             bail!("patch_size must not be 0");
         }
-        let vb = vb.pp("proj");
-        let kernel = vb.get((channels, Self::COLOURS, patch, patch), "weight")?;
-        let bias = vb.get(channels, "bias")?;
         Ok(Self {
-            proj: Linear::from_tensors(kernel.flatten_from(1)?, bias),
+            proj: Linear::of_patches(Self::COLOURS, patch, channels, &weights.pp("proj"))?,
             patch,
         })
     }
@@ -82,6 +79,6 @@ impl PatchEmbed {
             .reshape(&[batch, colours, grid.rows, patch, grid.columns, patch][..])?
             .permute([0, 2, 4, 1, 3, 5])?
             .reshape((batch, grid.rows * grid.columns, colours * patch * patch))?;
-        Ok((self.proj.forward(&patches)?, grid))
+        Ok((self.proj.forward(&patches, Activation::Identity)?, grid))
     }
 }

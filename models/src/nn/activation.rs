@@ -2,16 +2,39 @@
 
 use candle_core::{Result, Tensor};
 
-/// The exact GELU, `x Phi(x)` with the normal distribution function `Phi` (Hendrycks and Gimpel
-/// 2016), element by element.
-///
-/// It is PyTorch's default. Not [`Tensor::gelu`], which is the approximation by tanh.
-///
-/// # Errors
-///
-/// If `x` holds integers.
-pub fn gelu(x: &Tensor) -> Result<Tensor> {
-    x.gelu_erf()
+/// What a layer does to each of its outputs, element by element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Activation {
+    /// Nothing.
+    Identity,
+    /// The exact GELU, `x Phi(x)` with the normal distribution function `Phi` (Hendrycks and Gimpel
+    /// 2016): PyTorch's default, not the approximation by tanh.
+    Gelu,
+    /// `max(x, 0)`.
+    Relu,
+    /// `scale x` above 0, `scale alpha (exp(x) - 1)` below (Klambauer et al. 2017).
+    Selu,
+}
+
+impl Activation {
+    /// SELU's factor for all `x`.
+    pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
+    /// SELU's factor below 0.
+    pub const SELU_ALPHA: f64 = 1.673_263_242_354_377_2;
+
+    /// The activation of each element of `x`.
+    ///
+    /// # Errors
+    ///
+    /// If `x` holds integers.
+    pub fn apply(self, x: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Identity => Ok(x.clone()),
+            Self::Gelu => x.gelu_erf(),
+            Self::Relu => x.relu(),
+            Self::Selu => x.elu(Self::SELU_ALPHA)? * Self::SELU_SCALE,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -20,14 +43,22 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn it_is_the_exact_form() {
+    fn check(activation: Activation, want: [f32; 5]) {
         let x = Tensor::new(&[-2.0_f32, -1.0, 0.0, 1.0, 2.0], &Device::Cpu).unwrap();
-        let got = gelu(&x).unwrap().to_vec1::<f32>().unwrap();
-        // x Phi(x) from a table of Phi; by tanh, 2 gives 1.954598.
-        let want = [-0.045_500_264, -0.158_655_25, 0.0, 0.841_344_8, 1.954_499_7];
+        let got = activation.apply(&x).unwrap().to_vec1::<f32>().unwrap();
         for (got, want) in got.iter().zip(want) {
-            assert!((got - want).abs() < 1e-6, "{got} {want}");
+            assert!((got - want).abs() < 1e-6, "{activation:?}: {got} {want}");
         }
+    }
+
+    #[test]
+    fn by_table() {
+        check(Activation::Identity, [-2.0, -1.0, 0.0, 1.0, 2.0]);
+        check(Activation::Relu, [0.0, 0.0, 0.0, 1.0, 2.0]);
+        // x Phi(x) from a table of Phi; by tanh, 2 gives 1.954598.
+        let gelu = [-0.045_500_264, -0.158_655_25, 0.0, 0.841_344_8, 1.954_499_7];
+        check(Activation::Gelu, gelu);
+        let selu = [-1.520_166_5, -1.111_330_7, 0.0, 1.050_701, 2.101_402];
+        check(Activation::Selu, selu);
     }
 }

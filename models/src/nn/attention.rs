@@ -1,33 +1,54 @@
 //! Attention.
 
-use candle_core::{D, IndexOp, Module, Result, Tensor, bail};
-use candle_nn::VarBuilder;
+use candle_core::{D, Result, Tensor, bail};
 
-use super::{Linear, Rotation};
+use super::{Activation, Linear, Rotation};
+use crate::Weights;
 
-/// `softmax(q k^T / sqrt(head_dim)) v`, without a mask (Vaswani et al. 2017).
-///
-/// `q` is (batch, heads, queries, head_dim), `k` and `v` are (batch, heads, keys, head_dim); the
-/// result has the shape of `q`.
-///
-/// # Errors
-///
-/// If the shapes do not fit each other.
-pub fn attention(q: &Tensor, k: &Tensor, v: &Tensor) -> Result<Tensor> {
-    let scale = (q.dim(D::Minus1)? as f64).powf(-0.5);
-    let scores = (q * scale)?.matmul(&k.t()?)?;
-    candle_nn::ops::softmax_last_dim(&scores)?.matmul(v)
-}
-
-/// Queries, keys and values, each (batch, heads, tokens, head_dim).
+/// Keys and values of some tokens, each (batch, tokens, channels), head after head in the channels.
 #[derive(Clone, Debug)]
-pub struct Heads {
-    /// Queries, rotated.
-    pub q: Tensor,
-    /// Keys, rotated.
+pub struct Memory {
+    /// Keys, rotated if positions matter.
     pub k: Tensor,
     /// Values.
     pub v: Tensor,
+}
+
+/// `softmax(q k^T / sqrt(head_dim)) v` for each head, without a mask (Vaswani et al. 2017).
+///
+/// `q` is (batch, queries, channels). Its tokens attend to the tokens of all `memories` together, in
+/// one softmax. Channels are divided among `heads`, head after head. The result has the shape of
+/// `q`. The last dimension of every tensor must be contiguous; others may be strided.
+///
+/// # Errors
+///
+/// If there is no memory or the shapes do not fit each other.
+pub fn attention(q: &Tensor, memories: &[Memory], heads: usize) -> Result<Tensor> {
+    let (batch, queries, channels) = q.dims3()?;
+    if heads == 0 || !channels.is_multiple_of(heads) {
+        bail!("{channels} channels cannot be shared among {heads} heads");
+    }
+    let split = |x: &Tensor| -> Result<Tensor> {
+        let tokens = x.dim(1)?;
+        x.contiguous()?
+            .reshape((batch, tokens, heads, channels / heads))?
+            .transpose(1, 2)?
+            .contiguous()
+    };
+    let all = |of: fn(&Memory) -> &Tensor| -> Result<Tensor> {
+        let parts = memories.iter().map(|memory| of(memory).clone());
+        split(&Tensor::cat(&parts.collect::<Vec<_>>(), 1)?)
+    };
+    let (q, k, v) = (split(q)?, all(|m| &m.k)?, all(|m| &m.v)?);
+    let scale = ((channels / heads) as f64).powf(-0.5);
+    let scores = (q * scale)?.matmul(&k.t()?)?;
+    let exp = scores
+        .broadcast_sub(&scores.max_keepdim(D::Minus1)?)?
+        .exp()?;
+    exp.broadcast_div(&exp.sum_keepdim(D::Minus1)?)?
+        .matmul(&v)?
+        .transpose(1, 2)?
+        .reshape((batch, queries, channels))
 }
 
 /// Self-attention of several heads, with one layer `qkv` for queries, keys and values.
@@ -37,54 +58,130 @@ pub struct Heads {
 pub struct SelfAttention {
     qkv: Linear,
     proj: Linear,
+    channels: usize,
     heads: usize,
 }
 
 impl SelfAttention {
-    /// Reads `qkv` and `proj` from `vb`.
+    /// Reads `qkv` and `proj`.
     ///
     /// # Errors
     ///
-    /// If `heads` does not divide `channels`, or `vb` lacks a tensor or has it in another shape.
-    pub fn new(channels: usize, heads: usize, vb: VarBuilder<'_>) -> Result<Self> {
+    /// If `heads` does not divide `channels`, or `weights` lacks a tensor or has it in another
+    /// shape.
+    pub fn new(channels: usize, heads: usize, weights: &Weights) -> Result<Self> {
         if heads == 0 || !channels.is_multiple_of(heads) {
             bail!("{channels} channels cannot be shared among {heads} heads");
         }
         Ok(Self {
-            qkv: Linear::new(channels, 3 * channels, vb.pp("qkv"))?,
-            proj: Linear::new(channels, channels, vb.pp("proj"))?,
+            qkv: Linear::new(channels, 3 * channels, &weights.pp("qkv"))?,
+            proj: Linear::new(channels, channels, &weights.pp("proj"))?,
+            channels,
             heads,
         })
     }
 
-    /// The queries, keys and values of tokens `x` (batch, tokens, channels).
+    /// Queries (rotated), and the memory of keys (rotated) and values, of tokens `x` (batch, tokens,
+    /// channels).
     ///
     /// # Errors
     ///
     /// If `x` has other channels than these weights, or other tokens than `rotation`.
-    pub fn heads(&self, x: &Tensor, rotation: &Rotation) -> Result<Heads> {
-        let (batch, tokens, channels) = x.dims3()?;
-        let qkv = self
-            .qkv
-            .forward(x)?
-            .reshape((batch, tokens, 3, self.heads, channels / self.heads))?
-            .permute((2, 0, 3, 1, 4))?;
-        Ok(Heads {
-            q: rotation.apply(&qkv.i(0)?)?,
-            k: rotation.apply(&qkv.i(1)?)?,
-            v: qkv.i(2)?.contiguous()?,
-        })
+    pub fn project(&self, x: &Tensor, rotation: &Rotation) -> Result<(Tensor, Memory)> {
+        let qkv = self.qkv.forward(x, Activation::Identity)?;
+        let part = |i| qkv.narrow(D::Minus1, i * self.channels, self.channels);
+        let memory = Memory {
+            k: rotation.apply(&part(1)?, self.heads)?,
+            v: part(2)?,
+        };
+        Ok((rotation.apply(&part(0)?, self.heads)?, memory))
     }
 
-    /// Lets the tokens `x` (batch, tokens, channels) attend to each other.
+    /// `residual` plus what the tokens `x` make of each other; both (batch, tokens, channels).
     ///
     /// # Errors
     ///
-    /// As [`Self::heads`].
-    pub fn forward(&self, x: &Tensor, rotation: &Rotation) -> Result<Tensor> {
-        let Heads { q, k, v } = self.heads(x, rotation)?;
-        let merged = attention(&q, &k, &v)?.transpose(1, 2)?.flatten_from(2)?;
-        self.proj.forward(&merged)
+    /// As [`Self::project`].
+    pub fn forward_add(
+        &self,
+        x: &Tensor,
+        rotation: &Rotation,
+        residual: &Tensor,
+    ) -> Result<Tensor> {
+        let (q, memory) = self.project(x, rotation)?;
+        let attended = attention(&q, &[memory], self.heads)?;
+        self.proj.forward_add(&attended, residual)
+    }
+}
+
+/// Cross-attention of several heads: queries from one sequence, keys and values from others.
+#[derive(Clone, Debug)]
+pub struct CrossAttention {
+    projq: Linear,
+    projk: Linear,
+    projv: Linear,
+    proj: Linear,
+    heads: usize,
+}
+
+impl CrossAttention {
+    /// Reads `projq`, `projk`, `projv` and `proj`.
+    ///
+    /// # Errors
+    ///
+    /// As [`SelfAttention::new`].
+    pub fn new(channels: usize, heads: usize, weights: &Weights) -> Result<Self> {
+        if heads == 0 || !channels.is_multiple_of(heads) {
+            bail!("{channels} channels cannot be shared among {heads} heads");
+        }
+        let linear = |name: &str| Linear::new(channels, channels, &weights.pp(name));
+        Ok(Self {
+            projq: linear("projq")?,
+            projk: linear("projk")?,
+            projv: linear("projv")?,
+            proj: linear("proj")?,
+            heads,
+        })
+    }
+
+    /// The queries, rotated, of tokens `x` (batch, tokens, channels).
+    ///
+    /// # Errors
+    ///
+    /// If `x` has other channels than these weights, or other tokens than `rotation`.
+    pub fn queries(&self, x: &Tensor, rotation: &Rotation) -> Result<Tensor> {
+        let q = self.projq.forward(x, Activation::Identity)?;
+        rotation.apply(&q, self.heads)
+    }
+
+    /// What queries can attend to of tokens `y` (batch, tokens, channels).
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::queries`].
+    pub fn memory(&self, y: &Tensor, rotation: &Rotation) -> Result<Memory> {
+        let k = self.projk.forward(y, Activation::Identity)?;
+        Ok(Memory {
+            k: rotation.apply(&k, self.heads)?,
+            v: self.projv.forward(y, Activation::Identity)?,
+        })
+    }
+
+    /// `residual` plus what the tokens `x` find in `memories`; tokens are (batch, tokens, channels).
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::queries`], and if there is no memory.
+    pub fn forward_add(
+        &self,
+        x: &Tensor,
+        rotation: &Rotation,
+        memories: &[Memory],
+        residual: &Tensor,
+    ) -> Result<Tensor> {
+        let q = self.queries(x, rotation)?;
+        let attended = attention(&q, memories, self.heads)?;
+        self.proj.forward_add(&attended, residual)
     }
 }
 
@@ -96,15 +193,19 @@ mod tests {
 
     #[test]
     fn attention_by_hand() {
-        // One query, two keys, head_dim 4: the scores are 2 ln 3 / sqrt(4) = ln 3 and 0, so the
-        // weights are 3/4 and 1/4.
-        let tensor = |rows: &[[f32; 4]]| {
-            Tensor::from_slice(rows.as_flattened(), (1, 1, rows.len(), 4), &Device::Cpu).unwrap()
+        // One query, two keys in two memories, head_dim 4: the scores are 2 ln 3 / sqrt(4) = ln 3
+        // and 0, so the weights are 3/4 and 1/4.
+        let tensor = |row: [f32; 4]| Tensor::from_slice(&row, (1, 1, 4), &Device::Cpu).unwrap();
+        let memory = |k, v| Memory {
+            k: tensor(k),
+            v: tensor(v),
         };
-        let q = tensor(&[[2.0 * 3.0_f32.ln(), 0.0, 0.0, 0.0]]);
-        let k = tensor(&[[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]);
-        let v = tensor(&[[4.0, 0.0, 8.0, 1.0], [0.0, 4.0, 8.0, -3.0]]);
-        let got = attention(&q, &k, &v).unwrap().flatten_all().unwrap();
+        let q = tensor([2.0 * 3.0_f32.ln(), 0.0, 0.0, 0.0]);
+        let memories = [
+            memory([1.0, 0.0, 0.0, 0.0], [4.0, 0.0, 8.0, 1.0]),
+            memory([0.0, 1.0, 0.0, 0.0], [0.0, 4.0, 8.0, -3.0]),
+        ];
+        let got = attention(&q, &memories, 1).unwrap().flatten_all().unwrap();
         for (got, want) in got
             .to_vec1::<f32>()
             .unwrap()

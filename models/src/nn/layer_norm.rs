@@ -1,7 +1,8 @@
 //! Layer normalisation.
 
-use candle_core::{D, Module, Result, Tensor};
-use candle_nn::VarBuilder;
+use candle_core::{D, Result, Tensor};
+
+use crate::{Parameter, Weights};
 
 /// `(x - mean) / sqrt(variance + eps) * weight + bias` over the last dimension, with the variance
 /// of the population (Ba, Kiros and Hinton 2016).
@@ -11,53 +12,56 @@ use candle_nn::VarBuilder;
 /// mean is large against the spread, as in the residual streams of trained transformers.
 #[derive(Clone, Debug)]
 pub struct LayerNorm {
-    weight: Tensor,
-    bias: Tensor,
+    /// (channels).
+    weight: Parameter,
+    /// (channels).
+    bias: Parameter,
     eps: f64,
 }
 
 impl LayerNorm {
-    /// Reads `weight` and `bias`, each (channels), from `vb`.
+    /// Reads `weight` and `bias`, each (channels), from `weights`.
     ///
     /// # Errors
     ///
-    /// If `vb` lacks one of them or has it in another shape.
-    pub fn new(channels: usize, eps: f64, vb: VarBuilder<'_>) -> Result<Self> {
+    /// If `weights` lacks one of them or has it in another shape.
+    pub fn new(channels: usize, eps: f64, weights: &Weights) -> Result<Self> {
         Ok(Self {
-            weight: vb.get(channels, "weight")?,
-            bias: vb.get(channels, "bias")?,
+            weight: weights.get([channels], "weight")?,
+            bias: weights.get([channels], "bias")?,
             eps,
         })
     }
-}
 
-impl Module for LayerNorm {
-    fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    /// The normalised `x` (.., channels).
+    ///
+    /// # Errors
+    ///
+    /// If `x` has another number of channels.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let centred = x.broadcast_sub(&x.mean_keepdim(D::Minus1)?)?;
         let variance = centred.sqr()?.mean_keepdim(D::Minus1)?;
         centred
             .broadcast_div(&(variance + self.eps)?.sqrt()?)?
-            .broadcast_mul(&self.weight)?
-            .broadcast_add(&self.bias)
+            .broadcast_mul(&self.weight.tensor()?)?
+            .broadcast_add(&self.bias.tensor()?)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::collections::HashMap;
-
-    use candle_core::{DType, Device};
+    use candle_core::Device;
 
     use super::*;
 
     fn norm(weight: &[f32], bias: &[f32], eps: f64) -> LayerNorm {
-        let tensor = |values: &[f32]| Tensor::new(values, &Device::Cpu).unwrap();
-        let tensors = HashMap::from([
-            ("weight".to_owned(), tensor(weight)),
-            ("bias".to_owned(), tensor(bias)),
-        ]);
-        let vb = VarBuilder::from_tensors(tensors, DType::F32, &Device::Cpu);
-        LayerNorm::new(weight.len(), eps, vb).unwrap()
+        let (weight, bias) = (weight.to_vec(), bias.to_vec());
+        let channels = weight.len();
+        let make = move |name: &str, _: &[usize]| match name {
+            "weight" => weight.clone(),
+            _ => bias.clone(),
+        };
+        LayerNorm::new(channels, eps, &Weights::from_fn(make, &Device::Cpu)).unwrap()
     }
 
     fn forward(norm: &LayerNorm, x: &[f32]) -> Vec<f32> {

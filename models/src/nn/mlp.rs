@@ -1,9 +1,9 @@
 //! The feed-forward half of a transformer block.
 
-use candle_core::{Module, Result, Tensor};
-use candle_nn::VarBuilder;
+use candle_core::{Result, Tensor};
 
-use super::{Linear, gelu};
+use super::{Activation, Linear};
+use crate::Weights;
 
 /// `fc2(gelu(fc1(x)))`.
 #[derive(Clone, Debug)]
@@ -13,21 +13,25 @@ pub struct Mlp {
 }
 
 impl Mlp {
-    /// Reads `fc1` (to `hidden` channels) and `fc2` (back to `channels`) from `vb`.
+    /// Reads `fc1` (to `hidden` channels) and `fc2` (back to `channels`).
     ///
     /// # Errors
     ///
-    /// If `vb` lacks a tensor or has it in another shape.
-    pub fn new(channels: usize, hidden: usize, vb: VarBuilder<'_>) -> Result<Self> {
+    /// If `weights` lacks a tensor or has it in another shape.
+    pub fn new(channels: usize, hidden: usize, weights: &Weights) -> Result<Self> {
         Ok(Self {
-            fc1: Linear::new(channels, hidden, vb.pp("fc1"))?,
-            fc2: Linear::new(hidden, channels, vb.pp("fc2"))?,
+            fc1: Linear::new(channels, hidden, &weights.pp("fc1"))?,
+            fc2: Linear::new(hidden, channels, &weights.pp("fc2"))?,
         })
     }
-}
 
-impl Module for Mlp {
-    fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.fc2.forward(&gelu(&self.fc1.forward(x)?)?)
+    /// `residual + fc2(gelu(fc1(x)))`, all (.., channels).
+    ///
+    /// # Errors
+    ///
+    /// If `x` or `residual` has other channels.
+    pub fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+        let hidden = self.fc1.forward(x, Activation::Gelu)?;
+        self.fc2.forward_add(&hidden, residual)
     }
 }

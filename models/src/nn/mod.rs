@@ -1,24 +1,25 @@
 //! Layers that networks are built of.
 //!
-//! A network calls these, and candle itself only to move numbers about (reshape, transpose, add,
-//! concatenate). What costs time is behind this module: [`Linear`], [`LayerNorm`], [`gelu`],
-//! [`attention()`] and [`Rotation::apply`]. To make one faster on CPUs, replace its inside; the
-//! parity tests then tell whether it still computes the same.
+//! A network calls these, and candle itself only to move numbers about (reshape, narrow, add,
+//! concatenate). What costs time is behind this module: [`Linear`], [`LayerNorm`], [`attention()`],
+//! [`Rotation::apply`], [`Conv2d`].
 //!
-//! Tokens are `(batch, tokens, channels)`; what attention works on is
-//! `(batch, heads, tokens, head_dim)`.
+//! Tokens are `(batch, tokens, channels)`; heads share the channels, head after head, so that
+//! nothing is transposed. Images are `(batch, height, width, channels)`.
 
 mod activation;
 mod attention;
 mod block;
+mod conv;
 mod layer_norm;
 mod linear;
 mod mlp;
 mod rope;
 
-pub use activation::gelu;
-pub use attention::{Heads, SelfAttention, attention};
-pub use block::EncoderBlock;
+pub use activation::Activation;
+pub use attention::{CrossAttention, Memory, SelfAttention, attention};
+pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
+pub use conv::{BatchNorm2d, Conv2d};
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use mlp::Mlp;

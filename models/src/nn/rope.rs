@@ -1,7 +1,6 @@
 //! Rotary position embedding on a plane.
 
-use candle_core::{D, Device, Result, Tensor, bail};
-use candle_nn::rotary_emb::rope;
+use candle_core::{Device, Result, Tensor, bail};
 
 /// RoPE in two dimensions, as CroCo v2 has it (Weinzaepfel et al. 2023, after Su et al. 2021).
 ///
@@ -66,31 +65,35 @@ pub struct Rotation {
 }
 
 impl Rotation {
-    /// Rotates queries or keys `x` (batch, heads, tokens, head_dim).
+    /// Rotates queries or keys `x` (batch, tokens, heads * head_dim), head after head.
     ///
     /// # Errors
     ///
     /// If the number of tokens or `head_dim` is not that of this rotation.
-    pub fn apply(&self, x: &Tensor) -> Result<Tensor> {
-        let (_, _, tokens, head_dim) = x.dims4()?;
+    pub fn apply(&self, x: &Tensor, heads: usize) -> Result<Tensor> {
+        let (batch, tokens, channels) = x.dims3()?;
         let (positions, pairs) = self.rows[0].dims2()?;
-        if (tokens, head_dim) != (positions, 4 * pairs) {
+        if (tokens, channels) != (positions, heads * 4 * pairs) {
             bail!(
-                "a rotation of {positions} tokens with {} channels cannot turn {tokens} with {head_dim}",
-                4 * pairs
+                "a rotation of {positions} tokens with {} channels cannot turn {tokens} with {channels}",
+                heads * 4 * pairs
             );
         }
-        let half = |start, [cos, sin]: &[Tensor; 2]| {
-            rope(
-                &x.narrow(D::Minus1, start, 2 * pairs)?.contiguous()?,
-                cos,
-                sin,
-            )
+        let x = x.contiguous()?.reshape((batch, tokens, heads, 4, pairs))?;
+        let quarter = |i: usize| x.narrow(3, i, 1)?.squeeze(3);
+        let half = |first: usize, [cos, sin]: &[Tensor; 2]| -> Result<[Tensor; 2]> {
+            let (u, v) = (quarter(first)?, quarter(first + 1)?);
+            let (cos, sin) = (cos.unsqueeze(1)?, sin.unsqueeze(1)?);
+            let turned = |a: &Tensor, b: &Tensor| -> Result<(Tensor, Tensor)> {
+                Ok((a.broadcast_mul(&cos)?, b.broadcast_mul(&sin)?))
+            };
+            let (uc, vs) = turned(&u, &v)?;
+            let (vc, us) = turned(&v, &u)?;
+            Ok([(uc - vs)?, (vc + us)?])
         };
-        Tensor::cat(
-            &[half(0, &self.rows)?, half(2 * pairs, &self.columns)?],
-            D::Minus1,
-        )
+        let [u, v] = half(0, &self.rows)?;
+        let [s, t] = half(2, &self.columns)?;
+        Tensor::stack(&[u, v, s, t], 3)?.reshape((batch, tokens, channels))
     }
 }
 
@@ -101,9 +104,9 @@ mod tests {
 
     use super::*;
 
-    /// A (1, 1, tokens, channels) tensor.
+    /// A (1, tokens, channels) tensor.
     fn tokens(rows: &[[f32; 8]]) -> Tensor {
-        Tensor::from_slice(rows.as_flattened(), (1, 1, rows.len(), 8), &Device::Cpu).unwrap()
+        Tensor::from_slice(rows.as_flattened(), (1, rows.len(), 8), &Device::Cpu).unwrap()
     }
 
     fn rotate(base: f32, positions: &[[u32; 2]], rows: &[[f32; 8]]) -> Vec<Vec<f32>> {
@@ -111,8 +114,8 @@ mod tests {
             .unwrap()
             .rotation(positions, &Device::Cpu)
             .unwrap();
-        let turned = rotation.apply(&tokens(rows)).unwrap();
-        turned.i((0, 0)).unwrap().to_vec2().unwrap()
+        let turned = rotation.apply(&tokens(rows), 1).unwrap();
+        turned.i(0).unwrap().to_vec2().unwrap()
     }
 
     #[test]
@@ -143,8 +146,8 @@ mod tests {
         assert!(Rope2d::new(8, f32::NAN).is_err());
         let rope = Rope2d::new(8, 100.0).unwrap();
         let rotation = rope.rotation(&[[0, 0], [0, 1]], &Device::Cpu).unwrap();
-        assert!(rotation.apply(&tokens(&[[0.0; 8]])).is_err());
-        assert!(rotation.apply(&tokens(&[[0.0; 8]; 3])).is_err());
+        assert!(rotation.apply(&tokens(&[[0.0; 8]]), 1).is_err());
+        assert!(rotation.apply(&tokens(&[[0.0; 8]; 3]), 1).is_err());
     }
 
     proptest! {

@@ -1,0 +1,313 @@
+//! Where networks have their weights from.
+//!
+//! A network's constructor asks a [`Weights`] for each of its tensors by the name that the tensor
+//! has in the original checkpoint, and gets a [`Parameter`]. On a CPU a parameter of an f32 file *is*
+//! the file: the file is mapped into memory, nothing is copied or converted at start, and pages are
+//! read when a layer first uses them. Half-precision files are widened to f32 tensor by tensor.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
+use std::fs::File;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::{Device, Error, Result, Tensor, bail};
+use half::{bf16, f16};
+use memmap2::Mmap;
+use rayon::prelude::*;
+use safetensors::{Dtype, SafeTensors};
+
+/// The tensors of a network, or of the part of it below a prefix. Cheap to clone.
+#[derive(Clone)]
+pub struct Weights {
+    shared: Arc<Shared>,
+    prefix: String,
+}
+
+struct Shared {
+    source: Source,
+    device: Device,
+    asked: Mutex<BTreeMap<String, Vec<usize>>>,
+}
+
+enum Source {
+    File(MappedFile),
+    Function(Box<Make>),
+    /// Nothing: whoever asks is only listed.
+    Names,
+}
+
+/// Makes the values of a tensor, row-major, from its name and shape.
+type Make = dyn Fn(&str, &[usize]) -> Vec<f32> + Send + Sync;
+
+struct MappedFile {
+    path: PathBuf,
+    map: Arc<Mmap>,
+    tensors: BTreeMap<String, Entry>,
+}
+
+struct Entry {
+    shape: Vec<usize>,
+    dtype: Dtype,
+    bytes: Range<usize>,
+}
+
+impl Weights {
+    /// The weights in the safetensors file at `path`, mapped; f32, f16 or bf16.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be opened or mapped, or is no safetensors file.
+    pub fn open(path: &Path, device: &Device) -> Result<Self> {
+        Ok(Self::of(Source::File(MappedFile::open(path)?), device))
+    }
+
+    /// Weights made by `make` from name and shape (values row-major), when they are asked for.
+    pub fn from_fn(
+        make: impl Fn(&str, &[usize]) -> Vec<f32> + Send + Sync + 'static,
+        device: &Device,
+    ) -> Self {
+        Self::of(Source::Function(Box::new(make)), device)
+    }
+
+    /// Weights without values: a network built of them can only be asked, by [`Self::asked`], which
+    /// tensors it has.
+    pub fn names_only() -> Self {
+        Self::of(Source::Names, &Device::Cpu)
+    }
+
+    fn of(source: Source, device: &Device) -> Self {
+        Self {
+            shared: Arc::new(Shared {
+                source,
+                device: device.clone(),
+                asked: Mutex::default(),
+            }),
+            prefix: String::new(),
+        }
+    }
+
+    /// The weights below `name`: those whose names go on with it and a dot.
+    #[must_use]
+    pub fn pp(&self, name: impl Display) -> Self {
+        Self {
+            shared: Arc::clone(&self.shared),
+            prefix: self.full(&name.to_string()),
+        }
+    }
+
+    fn full(&self, name: &str) -> String {
+        if self.prefix.is_empty() {
+            name.to_owned()
+        } else {
+            format!("{}.{name}", self.prefix)
+        }
+    }
+
+    /// The tensor called `name` below this prefix.
+    ///
+    /// # Errors
+    ///
+    /// If there is none of that name, or it has another shape or a type that is no float.
+    pub fn get(&self, shape: impl Into<Vec<usize>>, name: &str) -> Result<Parameter> {
+        let (name, shape) = (self.full(name), shape.into());
+        let values = match &self.shared.source {
+            Source::File(file) => file.get(&name, &shape)?,
+            Source::Function(make) => {
+                let values = make(&name, &shape);
+                if values.len() != shape.iter().product::<usize>() {
+                    bail!("{} values were made for {name} {shape:?}", values.len());
+                }
+                Values::Owned(values.into())
+            }
+            Source::Names => Values::Owned(Arc::from([])),
+        };
+        let parameter = Parameter::new(shape.clone(), values, &self.shared.device)?;
+        let mut asked = (self.shared.asked.lock()).unwrap_or_else(PoisonError::into_inner);
+        asked.insert(name, shape);
+        Ok(parameter)
+    }
+
+    /// The names and shapes of all tensors that were asked for so far, whatever the prefix.
+    pub fn asked(&self) -> BTreeMap<String, Vec<usize>> {
+        let asked = self.shared.asked.lock();
+        asked.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The names of the file's tensors that nobody asked for, in order.
+    pub fn unused(&self) -> Vec<String> {
+        let Source::File(file) = &self.shared.source else {
+            return Vec::new();
+        };
+        let asked = self.asked();
+        let names: BTreeSet<&String> = file.tensors.keys().collect();
+        names
+            .into_iter()
+            .filter(|name| !asked.contains_key(*name))
+            .cloned()
+            .collect()
+    }
+}
+
+impl MappedFile {
+    fn open(path: &Path) -> Result<Self> {
+        let problem = |text: &dyn Display| Error::Msg(format!("{}: {text}", path.display()));
+        let file = File::open(path).map_err(|e| problem(&e))?;
+        // SAFETY: a mapping is unsound if another process changes the file meanwhile. The file is
+        // opened for reading, tid3r never changes a checkpoint in place (it writes a new file and
+        // renames), and whatever bytes are read are valid numbers.
+        #[expect(
+            unsafe_code,
+            reason = "mapping a file is unsafe, and copying it is not wanted"
+        )]
+        let map = unsafe { Mmap::map(&file) }.map_err(|e| problem(&e))?;
+        let tensors = SafeTensors::deserialize(&map)
+            .map_err(|e| problem(&format!("not a whole safetensors file ({e})")))?
+            .iter()
+            .map(|(name, view)| {
+                let start = view.data().as_ptr() as usize - map.as_ptr() as usize;
+                let entry = Entry {
+                    shape: view.shape().to_vec(),
+                    dtype: view.dtype(),
+                    bytes: start..start + view.data().len(),
+                };
+                (name.to_owned(), entry)
+            })
+            .collect();
+        Ok(Self {
+            path: path.to_path_buf(),
+            map: Arc::new(map),
+            tensors,
+        })
+    }
+
+    fn get(&self, name: &str, shape: &[usize]) -> Result<Values> {
+        let path = self.path.display();
+        let Some(entry) = self.tensors.get(name) else {
+            bail!("{path}: the tensor {name} {shape:?} is missing");
+        };
+        if entry.shape != shape {
+            bail!(
+                "{path}: the tensor {name} has shape {:?} where {shape:?} is wanted",
+                entry.shape
+            );
+        }
+        let bytes = &self.map[entry.bytes.clone()];
+        Ok(match entry.dtype {
+            Dtype::F32 if bytemuck::try_cast_slice::<u8, f32>(bytes).is_ok() => Values::Mapped {
+                map: Arc::clone(&self.map),
+                bytes: entry.bytes.clone(),
+            },
+            Dtype::F32 => widened(bytes, f32::from_le_bytes),
+            Dtype::F16 => widened(bytes, |b| f16::from_le_bytes(b).to_f32()),
+            Dtype::BF16 => widened(bytes, |b| bf16::from_le_bytes(b).to_f32()),
+            other => bail!("{path}: the tensor {name} is of type {other:?}, which is no float"),
+        })
+    }
+}
+
+fn widened<const N: usize>(bytes: &[u8], value: impl Fn([u8; N]) -> f32 + Sync) -> Values {
+    let (elements, _) = bytes.as_chunks::<N>();
+    Values::Owned(elements.par_iter().map(|&element| value(element)).collect())
+}
+
+/// One tensor of a network.
+#[derive(Clone, Debug)]
+pub struct Parameter {
+    shape: Vec<usize>,
+    values: Values,
+}
+
+#[derive(Clone)]
+enum Values {
+    /// Part of a mapped file, aligned for f32.
+    Mapped {
+        map: Arc<Mmap>,
+        bytes: Range<usize>,
+    },
+    Owned(Arc<[f32]>),
+    /// On a device that is no CPU.
+    Device(Tensor),
+}
+
+impl std::fmt::Debug for Values {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Mapped { .. } => "mapped",
+            Self::Owned(_) => "owned",
+            Self::Device(_) => "on a device",
+        })
+    }
+}
+
+impl Parameter {
+    fn new(shape: Vec<usize>, values: Values, device: &Device) -> Result<Self> {
+        let mut parameter = Self { shape, values };
+        if !device.is_cpu() {
+            let tensor = parameter.tensor()?.to_device(device)?;
+            parameter.values = Values::Device(tensor);
+        }
+        Ok(parameter)
+    }
+
+    /// A parameter on the CPU with these values, row-major.
+    ///
+    /// # Panics
+    ///
+    /// If `values` are not as many as `shape` says.
+    pub fn from_values(shape: impl Into<Vec<usize>>, values: Vec<f32>) -> Self {
+        let shape = shape.into();
+        assert_eq!(values.len(), shape.iter().product::<usize>());
+        Self {
+            shape,
+            values: Values::Owned(values.into()),
+        }
+    }
+
+    /// A parameter with the values of `tensor` (f32), on its device.
+    ///
+    /// # Errors
+    ///
+    /// Those of candle.
+    pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
+        let values = match tensor.device() {
+            Device::Cpu => Values::Owned(tensor.flatten_all()?.to_vec1()?.into()),
+            _ => Values::Device(tensor.clone()),
+        };
+        Ok(Self {
+            shape: tensor.dims().to_vec(),
+            values,
+        })
+    }
+
+    /// Sizes, outermost first.
+    pub fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// The values, row-major, if they are on the CPU.
+    pub fn host(&self) -> Option<&[f32]> {
+        match &self.values {
+            Values::Mapped { map, bytes } => Some(bytemuck::cast_slice(&map[bytes.clone()])),
+            Values::Owned(values) => Some(values),
+            Values::Device(_) => None,
+        }
+    }
+
+    /// As a candle tensor, where it is; on a CPU that is a copy.
+    ///
+    /// # Errors
+    ///
+    /// Those of candle.
+    pub fn tensor(&self) -> Result<Tensor> {
+        match &self.values {
+            Values::Device(tensor) => Ok(tensor.clone()),
+            Values::Mapped { .. } | Values::Owned(_) => Tensor::from_slice(
+                self.host().unwrap_or_default(),
+                &self.shape[..],
+                &Device::Cpu,
+            ),
+        }
+    }
+}

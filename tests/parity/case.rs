@@ -1,0 +1,115 @@
+//! One recorded case.
+
+use anyhow::{Context, Result, bail};
+use candle_core::{Device, Tensor, safetensors};
+use serde::{Deserialize, de::DeserializeOwned};
+use serde_json::Value;
+use std::{
+    collections::{BTreeMap, HashMap},
+    fs,
+    path::{Path, PathBuf},
+};
+use tid3r_models::Weights;
+use tid3r_weights_convert::synth;
+
+/// One recorded case.
+pub(crate) struct Case {
+    folder: PathBuf,
+    file: CaseFile,
+    inputs: HashMap<String, Tensor>,
+    expected: BTreeMap<String, Tensor>,
+}
+
+#[derive(Deserialize)]
+struct CaseFile {
+    model: String,
+    config: Value,
+    weights: WeightsOf,
+    tolerance: Tolerance,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum WeightsOf {
+    SyntheticSeed(u64),
+    File(PathBuf),
+}
+
+#[derive(Deserialize)]
+struct Tolerance {
+    max_relative_l2: f64,
+}
+
+/// The folders at and below `root` that hold a case, in order.
+pub(crate) fn folders_below(root: &Path) -> Result<Vec<PathBuf>> {
+    let mut folders = Vec::new();
+    if root.join("case.json").exists() {
+        folders.push(root.to_path_buf());
+    }
+    let mut entries: Vec<PathBuf> = fs::read_dir(root)?
+        .map(|entry| Ok(entry?.path()))
+        .collect::<Result<_>>()?;
+    entries.sort();
+    for entry in entries.iter().filter(|entry| entry.is_dir()) {
+        folders.extend(folders_below(entry)?);
+    }
+    Ok(folders)
+}
+
+impl Case {
+    /// The case in `folder`.
+    pub(crate) fn load(folder: &Path) -> Result<Self> {
+        let read = |name| fs::read_to_string(folder.join(name)).with_context(|| format!("{name}"));
+        let tensors = |name| {
+            safetensors::load(folder.join(name), &Device::Cpu).with_context(|| format!("{name}"))
+        };
+        Ok(Self {
+            folder: folder.to_path_buf(),
+            file: serde_json::from_str(&read("case.json")?).context("case.json")?,
+            inputs: tensors("inputs.safetensors")?,
+            expected: tensors("expected.safetensors")?.into_iter().collect(),
+        })
+    }
+
+    /// Which module it is about.
+    pub(crate) fn model(&self) -> &str {
+        &self.file.model
+    }
+
+    /// The configuration; fields that `C` does not have are ignored.
+    pub(crate) fn config<C: DeserializeOwned>(&self) -> Result<C> {
+        serde_json::from_value(self.file.config.clone()).context("the configuration")
+    }
+
+    /// The largest relative L2 error that is allowed.
+    pub(crate) fn tolerance(&self) -> f64 {
+        self.file.tolerance.max_relative_l2
+    }
+
+    /// The weights, synthetic ones whatever their names.
+    pub(crate) fn weights(&self) -> Result<Weights> {
+        match &self.file.weights {
+            &WeightsOf::SyntheticSeed(seed) => Ok(Weights::from_fn(
+                move |name, shape| synth::tensor(name, shape, seed),
+                &Device::Cpu,
+            )),
+            WeightsOf::File(name) => bail!("{}", self.folder.join(name).display()),
+        }
+    }
+
+    /// The input called `name`.
+    pub(crate) fn input(&self, name: &str) -> Result<&Tensor> {
+        let input = self.inputs.get(name);
+        input.with_context(|| format!("the case has no input `{name}`"))
+    }
+
+    /// The inputs.
+    pub(crate) fn inputs(&self) -> &HashMap<String, Tensor> {
+        &self.inputs
+    }
+
+    /// The recorded tensors.
+    pub(crate) fn expected(&self) -> &BTreeMap<String, Tensor> {
+        &self.expected
+    }
+}

@@ -1,0 +1,74 @@
+//! Parity with the original code: recorded cases, each a test.
+//!
+//! A case is a folder with `case.json` (which module, its configuration, its weights, the tolerance),
+//! `inputs.safetensors` and `expected.safetensors`. Every case below `tests/fixtures/cases` is run,
+//! and every case below each folder in the environment variable `PARITY_CASES` (separated like
+//! `PATH`). A case of a module that is not listed in [`runner`] fails.
+
+mod case;
+mod comparison;
+
+use anyhow::{Context, Result, ensure};
+use case::Case;
+use comparison::Comparison;
+use libtest_mimic::{Arguments, Failed, Trial};
+use std::{
+    env,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+/// Computes what a case expects, and gives each tensor to the comparison.
+type Runner = fn(&Case, &mut Comparison) -> Result<()>;
+
+/// What computes the tensors of `model`.
+fn runner(model: &str) -> Option<Runner> {
+    let _ = model;
+    None
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::from_args();
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/cases");
+    let mut trials = trials_below(&fixtures);
+    if let Some(folders) = env::var_os("PARITY_CASES") {
+        for folder in env::split_paths(&folders).filter(|folder| !folder.as_os_str().is_empty()) {
+            trials.extend(trials_below(&folder));
+        }
+    }
+    libtest_mimic::run(&arguments, trials).exit_code()
+}
+
+/// A test for each case below `root`; a single failing one if they cannot be found.
+fn trials_below(root: &Path) -> Vec<Trial> {
+    let found = case::folders_below(root).and_then(|folders| {
+        ensure!(!folders.is_empty(), "there is no case below it");
+        Ok(folders)
+    });
+    let test = |name: &Path, run: Box<dyn FnOnce() -> Result<()> + Send>| {
+        let run = || run().map_err(|error| Failed::from(format!("{error:#}")));
+        Trial::test(name.display().to_string(), run)
+    };
+    match found.with_context(|| root.display().to_string()) {
+        Err(error) => vec![test(root, Box::new(|| Err(error)))],
+        Ok(folders) => {
+            let trial = |folder: PathBuf| {
+                let name = folder.strip_prefix(root).unwrap_or(&folder);
+                // A root that is a case itself.
+                let name = if name == Path::new("") { root } else { name };
+                test(&name.to_path_buf(), Box::new(move || run(&folder)))
+            };
+            folders.into_iter().map(trial).collect()
+        }
+    }
+}
+
+/// Runs the case in `folder`.
+fn run(folder: &Path) -> Result<()> {
+    let case = Case::load(folder)?;
+    let runner = runner(case.model())
+        .with_context(|| format!("no test knows the module `{}`", case.model()))?;
+    let mut comparison = Comparison::new(&case);
+    runner(&case, &mut comparison)?;
+    comparison.finish()
+}
