@@ -264,3 +264,150 @@ fn view_in_slot(slot: usize, path: usize) -> usize {
         slot => slot,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{DType, Device};
+
+    use super::*;
+    use crate::mvdust3r::Unobserved;
+
+    /// A small network with `references` paths.
+    fn config(references: usize) -> Config {
+        Config {
+            enc_embed_dim: 16,
+            enc_depth: 1,
+            enc_num_heads: 2,
+            dec_embed_dim: 16,
+            dec_depth: 2,
+            dec_num_heads: 1,
+            m_ref_flag: references > 1,
+            n_ref: Some(references),
+            skip_dim: 4,
+            gs_mlp_dim: 8,
+            ..Config::mv_dust3r()
+        }
+    }
+
+    /// Numbers in [-1, 1) that depend on `seed` and their place.
+    fn numbers(seed: u64, count: usize) -> Vec<f32> {
+        let number = |i: u64| {
+            let mixed =
+                (seed ^ i.wrapping_mul(0x9E37_79B9_7F4A_7C15)).wrapping_mul(0xD6E8_FEB8_6659_FD93);
+            (mixed >> 40) as f32 / (1 << 23) as f32 - 1.0
+        };
+        (1..=count as u64).map(number).collect()
+    }
+
+    fn network(config: &Config) -> MvDust3r {
+        let make = |name: &str, shape: &[usize]| {
+            let seed = name
+                .bytes()
+                .fold(7_u64, |h, b| h.wrapping_mul(31) + u64::from(b));
+            let fan_in: usize = shape.iter().skip(1).product();
+            let scale = (3.0 / fan_in as f32).sqrt();
+            let values = numbers(seed, shape.iter().product());
+            if name.ends_with("running_var") {
+                return values.iter().map(|v| 1.0 + 0.5 * v).collect();
+            }
+            values.iter().map(|v| v * scale).collect()
+        };
+        MvDust3r::new(config, &Weights::from_fn(make, &Device::Cpu)).unwrap()
+    }
+
+    /// Images (views, batch, 3, height, width) of 32 x 48 pixels.
+    fn images(views: usize, batch: usize) -> Tensor {
+        let shape = [views, batch, 3, 32, 48];
+        Tensor::from_vec(numbers(1, shape.iter().product()), &shape, &Device::Cpu).unwrap()
+    }
+
+    fn points(network: &MvDust3r, images: &Tensor) -> Vec<Tensor> {
+        let outputs = network
+            .forward(images, &Options::default(), &mut Unobserved)
+            .unwrap();
+        outputs[0].iter().map(|view| view.points.clone()).collect()
+    }
+
+    fn assert_close(a: &Tensor, b: &Tensor) {
+        let largest = |x: &Tensor| {
+            x.abs()
+                .unwrap()
+                .max_all()
+                .unwrap()
+                .to_scalar::<f32>()
+                .unwrap()
+        };
+        let difference = largest(&(a - b).unwrap());
+        assert!(difference < 1e-4 * largest(b).max(1.0), "{difference}");
+    }
+
+    #[test]
+    fn exchanging_views_that_are_no_references_exchanges_their_outputs_alone() {
+        for references in [1, 2] {
+            let network = network(&config(references));
+            let images = images(4, 1);
+            let exchanged = images
+                .index_select(&Tensor::new(&[0_u32, 1, 3, 2], &Device::Cpu).unwrap(), 0)
+                .unwrap();
+            let (before, after) = (points(&network, &images), points(&network, &exchanged));
+            for (view, other) in [(0, 0), (1, 1), (2, 3), (3, 2)] {
+                assert_close(&after[other], &before[view]);
+            }
+            // Which view is the reference does matter.
+            let exchanged = images
+                .index_select(&Tensor::new(&[1_u32, 0, 2, 3], &Device::Cpu).unwrap(), 0)
+                .unwrap();
+            let difference = (&points(&network, &exchanged)[2] - &before[2]).unwrap();
+            let sum = difference.abs().unwrap().sum_all().unwrap();
+            assert!(sum.to_scalar::<f32>().unwrap() > 1e-3);
+        }
+    }
+
+    #[test]
+    fn scenes_of_a_batch_are_independent() {
+        let network = network(&config(2));
+        let images = images(3, 2);
+        let together = points(&network, &images);
+        for scene in 0..2 {
+            let alone = points(&network, &images.narrow(1, scene, 1).unwrap());
+            for (alone, together) in alone.iter().zip(&together) {
+                assert_close(alone, &together.narrow(0, scene, 1).unwrap());
+            }
+        }
+    }
+
+    #[test]
+    fn what_the_network_cannot_take_is_refused() {
+        let network = network(&config(3));
+        let refused = |images: &Tensor, options: Options| {
+            let error = network
+                .forward(images, &options, &mut Unobserved)
+                .unwrap_err();
+            error.to_string()
+        };
+        let message = refused(&images(2, 1), Options::default());
+        assert!(message.contains("at least 3 views"), "{message}");
+        let odd = Tensor::zeros((3, 1, 3, 32, 40), DType::F32, &Device::Cpu).unwrap();
+        let message = refused(&odd, Options::default());
+        assert!(message.contains("multiples of 16"), "{message}");
+        let grey = Tensor::zeros((3, 1, 1, 32, 32), DType::F32, &Device::Cpu).unwrap();
+        let message = refused(&grey, Options::default());
+        assert!(message.contains("3 colours"), "{message}");
+        let options = Options {
+            statistics: Statistics::Batch,
+            ..Options::default()
+        };
+        assert!(refused(&images(3, 1), options).contains("all paths"));
+    }
+
+    #[test]
+    fn a_missing_weight_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("empty.safetensors");
+        std::fs::write(&path, [&2_u64.to_le_bytes()[..], b"{}"].concat()).unwrap();
+        let weights = Weights::open(&path, &Device::Cpu).unwrap();
+        let error = MvDust3r::new(&config(1), &weights).unwrap_err().to_string();
+        assert!(error.contains("patch_embed.proj.weight"), "{error}");
+        assert!(error.contains("empty.safetensors"), "{error}");
+    }
+}
