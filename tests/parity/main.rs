@@ -7,6 +7,7 @@
 
 mod case;
 mod comparison;
+mod photos;
 
 use anyhow::{Context, Result, ensure};
 use case::Case;
@@ -23,8 +24,10 @@ type Runner = fn(&Case, &mut Comparison) -> Result<()>;
 
 /// What computes the tensors of `model`.
 fn runner(model: &str) -> Option<Runner> {
-    let _ = model;
-    None
+    Some(match model {
+        "preprocess" => photos::preprocess,
+        _ => return None,
+    })
 }
 
 fn main() -> ExitCode {
