@@ -9,6 +9,7 @@ mod case;
 mod comparison;
 mod layers;
 mod mvdust3r;
+mod photos;
 
 use anyhow::{Context, Result, ensure};
 use case::Case;
@@ -34,6 +35,7 @@ fn runner(model: &str) -> Option<Runner> {
         "pts_head" => mvdust3r::points_head,
         "gs_head" => mvdust3r::gaussian_head,
         "mvdust3r" => mvdust3r::network,
+        "preprocess" => photos::preprocess,
         _ => return None,
     })
 }
