@@ -16,11 +16,19 @@
 //! `.pth` and `.pt`, folders of safetensors), which feed the same writer tensor by tensor, and the
 //! renamings between upstream names and ours where they differ.
 
+mod checkpoint;
 mod error;
+mod hash;
 mod manifest;
+mod pickle;
+mod progress;
 mod safetensors_file;
+mod stored;
 pub mod synth;
+mod torch;
 
+pub use checkpoint::Checkpoint;
 pub use error::{Error, Result};
 pub use manifest::{Manifest, TensorSpec};
+pub use progress::Step;
 pub use safetensors::Dtype;
