@@ -101,6 +101,11 @@ impl Checkpoint {
         &self.path
     }
 
+    /// Its size in bytes.
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
     /// Names and shapes of the tensors.
     pub fn shapes(&self) -> BTreeMap<&str, &[usize]> {
         let tensors = &self.contents.tensors;

@@ -43,6 +43,14 @@ pub enum Error {
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
+    /// What is wrong, without the file and the remedy where those are known from elsewhere.
+    pub(crate) fn problem(self) -> String {
+        match self {
+            Self::File { problem, .. } => problem,
+            other => other.to_string(),
+        }
+    }
+
     /// An [`Error::File`] about `path`.
     pub(crate) fn file(path: &Path, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self::File {

@@ -17,18 +17,32 @@
 //! renamings between upstream names and ours where they differ.
 
 mod checkpoint;
+mod convert;
 mod error;
+mod find;
+mod folder;
 mod hash;
 mod manifest;
+mod networks;
 mod pickle;
+mod precision;
 mod progress;
 mod safetensors_file;
 mod stored;
 pub mod synth;
+mod synthesize;
 mod torch;
+mod verify;
 
 pub use checkpoint::Checkpoint;
+pub use convert::{ConvertOptions, convert};
 pub use error::{Error, Result};
+pub use find::{Found, Place, Places, find};
+pub use folder::{CONFIG_FILE, ConfigFile, Provenance, WEIGHTS_FILE, Written};
 pub use manifest::{Manifest, TensorSpec};
+pub use networks::{Config, Network};
+pub use precision::Precision;
 pub use progress::Step;
 pub use safetensors::Dtype;
+pub use synthesize::synthesize;
+pub use verify::{Verdict, verify};

@@ -112,18 +112,15 @@ fn write_floats(
     let elements = Elements::of_weight(name, spec.shape(), seed);
     for first in (0..spec.elements()).step_by(CHUNK) {
         buffer.resize(size * CHUNK.min(spec.elements() - first), 0);
-        buffer
-            .par_chunks_exact_mut(size)
-            .enumerate()
-            .for_each(|(i, bytes)| match spec.dtype() {
-                Dtype::F16 => {
-                    bytes.copy_from_slice(&f16::from_f32(elements.get(first + i)).to_le_bytes())
-                }
-                Dtype::BF16 => {
-                    bytes.copy_from_slice(&bf16::from_f32(elements.get(first + i)).to_le_bytes())
-                }
-                _ => bytes.copy_from_slice(&elements.get(first + i).to_le_bytes()),
-            });
+        let chunks = buffer.par_chunks_exact_mut(size).enumerate();
+        chunks.for_each(|(i, bytes)| {
+            let value = elements.get(first + i);
+            match spec.dtype() {
+                Dtype::F16 => bytes.copy_from_slice(&f16::from_f32(value).to_le_bytes()),
+                Dtype::BF16 => bytes.copy_from_slice(&bf16::from_f32(value).to_le_bytes()),
+                _ => bytes.copy_from_slice(&value.to_le_bytes()),
+            }
+        });
         out.write_all(buffer)?;
         done(buffer.len());
     }
