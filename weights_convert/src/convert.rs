@@ -5,7 +5,8 @@ use std::path::Path;
 use crate::folder::{ConfigFile, NewFolder, Provenance};
 use crate::networks::{Hints, Plan};
 use crate::{
-    CONFIG_FILE, Checkpoint, Error, Precision, Result, Step, Written, hash, safetensors_file,
+    CONFIG_FILE, Checkpoint, Error, Network, Precision, Result, Step, Written, hash,
+    safetensors_file,
 };
 
 /// How a checkpoint is converted.
@@ -43,18 +44,7 @@ pub fn convert(
     progress: &mut dyn FnMut(Step),
 ) -> Result<Written> {
     NewFolder::check(folder, options.replace)?;
-    let checkpoint = Checkpoint::open(source)?;
-    // What tid3r has converted before says what it is.
-    let ours = (checkpoint.metadata().contains_key("converter"))
-        .then(|| ConfigFile::read(&source.with_file_name(CONFIG_FILE)))
-        .transpose()?;
-    let plan = Plan::of(
-        &checkpoint,
-        Hints {
-            heads: options.heads,
-            config: ours.as_ref().map(|file| &file.config),
-        },
-    )?;
+    let (checkpoint, plan, ours) = plan(source, options)?;
     let provenance = match ours {
         Some(file) => Provenance {
             converter: Provenance::CONVERTER.to_owned(),
@@ -117,6 +107,30 @@ pub fn convert(
     })?;
     progress(Step::End);
     Ok(written)
+}
+
+/// Which network the checkpoint at `source` is of: what [`convert`] would make of it, without writing.
+///
+/// # Errors
+///
+/// As [`convert`], but for those about values and about the folder.
+pub fn network_of(source: &Path, options: &ConvertOptions) -> Result<&'static Network> {
+    let (_, plan, _) = plan(source, options)?;
+    Ok(plan.config.network())
+}
+
+/// The checkpoint, what becomes of it, and what tid3r has noted about it if it wrote it.
+fn plan(source: &Path, options: &ConvertOptions) -> Result<(Checkpoint, Plan, Option<ConfigFile>)> {
+    let checkpoint = Checkpoint::open(source)?;
+    let ours = (checkpoint.metadata().contains_key("converter"))
+        .then(|| ConfigFile::read(&source.with_file_name(CONFIG_FILE)))
+        .transpose()?;
+    let hints = Hints {
+        heads: options.heads,
+        config: ours.as_ref().map(|file| &file.config),
+    };
+    let plan = Plan::of(&checkpoint, hints)?;
+    Ok((checkpoint, plan, ours))
 }
 
 fn file_name(path: &Path) -> String {

@@ -35,7 +35,7 @@ mod torch;
 mod verify;
 
 pub use checkpoint::Checkpoint;
-pub use convert::{ConvertOptions, convert};
+pub use convert::{ConvertOptions, convert, network_of};
 pub use error::{Error, Result};
 pub use find::{Found, Place, Places, find};
 pub use folder::{CONFIG_FILE, ConfigFile, Provenance, WEIGHTS_FILE, Written};
