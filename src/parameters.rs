@@ -53,6 +53,16 @@ pub fn share(text: &str) -> Result<f64, String> {
     checked.ok_or_else(|| "a number from 0 to 1 is wanted".into())
 }
 
+/// A percentage, from 0 to 100.
+///
+/// # Errors
+/// As [`finite`].
+pub fn percentage(text: &str) -> Result<f64, String> {
+    let number = finite(text)?;
+    let checked = (0.0..=100.0).contains(&number).then_some(number);
+    checked.ok_or_else(|| "a number from 0 to 100 is wanted".into())
+}
+
 /// A factor from 0.001 to 1000.
 ///
 /// # Errors
@@ -98,6 +108,7 @@ mod tests {
         assert!(positive("0").is_err() && positive("1e-9").is_ok());
         assert!(not_negative("0").is_ok() && not_negative("-1e-9").is_err());
         assert!(not_negative_f32("1e39").is_err() && not_negative_f32("1e38").is_ok());
+        assert!(percentage("100").is_ok() && percentage("100.1").is_err());
         assert!(share("1").is_ok() && share("1.01").is_err() && share("-0.01").is_err());
     }
 }

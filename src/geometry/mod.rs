@@ -5,10 +5,16 @@
 
 mod camera;
 mod floor;
+mod focal;
+mod pnp;
 mod warp;
 
 pub use camera::{Camera, Intrinsics, matrix4};
 pub use floor::{SurfacePoint, floor_frame};
+pub use focal::{FocalError, estimate_focal, robust_focal};
+pub use pnp::{
+    Correspondence, PnpError, PnpParams, PnpSolution, PoseFit, solve_pnp, solve_pnp_and_focal,
+};
 pub use warp::Warp;
 
 /// A point, in the frame and the units that the context says.

@@ -1,9 +1,14 @@
 //! From photos to cameras and depth, and the removal of points that cannot be right.
 
 mod anomalies;
+mod recovery;
 mod stage;
 
 pub use anomalies::{CleanParams, Verdict, judge_points};
+pub use recovery::{
+    Pointmap, RecoveredCamera, RecoveredView, Recovery, RecoveryError, RecoveryParams,
+    correspondences, recover_cameras,
+};
 pub use stage::{CleanReport, CleanedPhoto, NewScene, clean};
 
 use crate::{Result, photos::Photo, progress::Progress, scene::Frame};

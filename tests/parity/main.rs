@@ -7,6 +7,9 @@
 
 mod case;
 mod comparison;
+mod layers;
+mod mvdust3r;
+mod photos;
 
 use anyhow::{Context, Result, ensure};
 use case::Case;
@@ -23,8 +26,18 @@ type Runner = fn(&Case, &mut Comparison) -> Result<()>;
 
 /// What computes the tensors of `model`.
 fn runner(model: &str) -> Option<Runner> {
-    let _ = model;
-    None
+    Some(match model {
+        "rope2d" => layers::rope,
+        "self_attention" => layers::self_attention,
+        "encoder_block" => layers::encoder_block,
+        "decoder_block" => layers::decoder_block,
+        "postprocess" => layers::postprocessing,
+        "pts_head" => mvdust3r::points_head,
+        "gs_head" => mvdust3r::gaussian_head,
+        "mvdust3r" => mvdust3r::network,
+        "preprocess" => photos::preprocess,
+        _ => return None,
+    })
 }
 
 fn main() -> ExitCode {

@@ -3,13 +3,27 @@
 //!
 //! Facts are from facebookresearch/mvdust3r at 18872ea; tensor names are those of its checkpoints.
 //!
-//! There is the encoder, common to both networks: a vision transformer that looks at each photo
-//! alone.
+//! An encoder looks at each photo alone; a decoder lets the views exchange what they know; heads
+//! turn each view's tokens into points, confidences and Gaussians.
 
 mod config;
+mod decoder;
 mod encoder;
+mod gaussian_head;
+mod memory;
+mod network;
+mod observer;
 mod patch_embed;
+mod points_head;
+mod work;
 
-pub use config::{Config, PositionEncoding};
+pub use config::{Config, ExpMode, PointsHeadConfig, PositionEncoding};
+pub use decoder::Decoder;
 pub use encoder::Encoder;
+pub use gaussian_head::{GaussianHead, Gaussians};
+pub use memory::Memory;
+pub use network::{MvDust3r, Options, Paths, ViewOutput};
+pub use observer::{Observer, Unobserved};
 pub use patch_embed::{PatchEmbed, PatchGrid};
+pub use points_head::{PointsHead, RawPoints, Statistics, postprocess};
+pub use work::Work;

@@ -167,21 +167,24 @@ impl CrossAttention {
         })
     }
 
-    /// `residual` plus what the tokens `x` find in `memories`; tokens are (batch, tokens, channels).
+    /// `residual` plus what each group of rotated `queries` (batch, tokens, channels) finds in the
+    /// memories of the same index; `residual` is (groups * batch, tokens, channels).
     ///
     /// # Errors
     ///
-    /// As [`Self::queries`], and if there is no memory.
+    /// If shapes do not fit each other, or a group has no memory.
     pub fn forward_add(
         &self,
-        x: &Tensor,
-        rotation: &Rotation,
-        memories: &[Memory],
+        queries: &[Tensor],
+        memories: &[Vec<Memory>],
         residual: &Tensor,
     ) -> Result<Tensor> {
-        let q = self.queries(x, rotation)?;
-        let attended = attention(&q, memories, self.heads)?;
-        self.proj.forward_add(&attended, residual)
+        let attended = queries
+            .iter()
+            .zip(memories)
+            .map(|(q, memories)| attention(q, memories, self.heads))
+            .collect::<Result<Vec<_>>>()?;
+        self.proj.forward_add(&Tensor::cat(&attended, 0)?, residual)
     }
 }
 

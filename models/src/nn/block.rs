@@ -1,6 +1,6 @@
 //! Transformer blocks.
 
-use candle_core::{Result, Tensor};
+use candle_core::{Result, Tensor, bail};
 
 use super::{CrossAttention, LayerNorm, Memory, Mlp, Rotation, SelfAttention};
 use crate::Weights;
@@ -66,6 +66,9 @@ impl EncoderBlock {
 
 /// A pre-norm transformer block with memories: `x += attn(norm1(x))`,
 /// `x += cross_attn(norm2(x), norm_y(memories))`, `x += mlp(norm3(x))`.
+///
+/// It works on *groups*: tensors (batch, tokens, channels), each with memories of its own. Groups
+/// share all products with weights, `rows` tokens at a time.
 #[derive(Clone, Debug)]
 pub struct DecoderBlock {
     norm1: LayerNorm,
@@ -97,22 +100,38 @@ impl DecoderBlock {
         })
     }
 
-    /// What this block's queries can attend to of tokens `y` (batch, tokens, channels).
+    /// What this block's queries can attend to of each group of tokens.
     ///
-    /// It depends on `y` alone, so it is made once however many queries there are.
+    /// It depends on the group alone, so it is made once however many queries there are.
     ///
     /// # Errors
     ///
-    /// If `y` has other channels than these weights, or other tokens than `rotation`.
-    pub fn memory(&self, y: &Tensor, rotation: &Rotation) -> Result<Memory> {
-        self.cross_attn.memory(&self.norm_y.forward(y)?, rotation)
+    /// If tokens have other channels than these weights, or are others than those of `rotation`.
+    pub fn memories(
+        &self,
+        groups: &[Tensor],
+        rotation: &Rotation,
+        rows: usize,
+    ) -> Result<Vec<Memory>> {
+        let mut memories = Vec::with_capacity(groups.len());
+        for chunk in chunks(groups, rows)? {
+            let y = self.norm_y.forward(&Tensor::cat(chunk, 0)?)?;
+            let memory = self.cross_attn.memory(&y, rotation)?;
+            for (k, v) in split(&memory.k, chunk)?
+                .into_iter()
+                .zip(split(&memory.v, chunk)?)
+            {
+                memories.push(Memory { k, v });
+            }
+        }
+        Ok(memories)
     }
 
     /// The rotated queries of the cross-attention, for tokens `x` (batch, tokens, channels).
     ///
     /// # Errors
     ///
-    /// If `x` has other channels than these weights, or other tokens than `rotation`.
+    /// As [`Self::memories`].
     pub fn cross_queries(&self, x: &Tensor, rotation: &Rotation) -> Result<Tensor> {
         let x = self
             .attn
@@ -120,19 +139,61 @@ impl DecoderBlock {
         self.cross_attn.queries(&self.norm2.forward(&x)?, rotation)
     }
 
-    /// The block on tokens `x` (batch, tokens, channels), which attend to `memories`.
+    /// The block on each group of tokens, which attend to the memories of the same index.
     ///
     /// # Errors
     ///
-    /// As [`Self::cross_queries`], and if there is no memory.
-    pub fn forward(&self, x: &Tensor, rotation: &Rotation, memories: &[Memory]) -> Result<Tensor> {
-        let x = self
-            .attn
-            .forward_add(&self.norm1.forward(x)?, rotation, x)?;
-        let queries = self.norm2.forward(&x)?;
-        let x = self
-            .cross_attn
-            .forward_add(&queries, rotation, memories, &x)?;
-        self.mlp.forward_add(&self.norm3.forward(&x)?, &x)
+    /// As [`Self::memories`], and if a group has no memory.
+    pub fn forward(
+        &self,
+        groups: &[Tensor],
+        rotation: &Rotation,
+        memories: &[Vec<Memory>],
+        rows: usize,
+    ) -> Result<Vec<Tensor>> {
+        if groups.len() != memories.len() {
+            bail!(
+                "{} groups cannot have {} lists of memories",
+                groups.len(),
+                memories.len()
+            );
+        }
+        let mut results = Vec::with_capacity(groups.len());
+        for chunk in chunks(groups, rows)? {
+            let memories = &memories[results.len()..][..chunk.len()];
+            let x = Tensor::cat(chunk, 0)?;
+            let x = self
+                .attn
+                .forward_add(&self.norm1.forward(&x)?, rotation, &x)?;
+            let queries = self
+                .cross_attn
+                .queries(&self.norm2.forward(&x)?, rotation)?;
+            let queries = split(&queries, chunk)?;
+            let x = self.cross_attn.forward_add(&queries, memories, &x)?;
+            let x = self.mlp.forward_add(&self.norm3.forward(&x)?, &x)?;
+            results.extend(split(&x, chunk)?);
+        }
+        Ok(results)
     }
+}
+
+/// Runs of groups, each of at most `rows` tokens unless a single group has more.
+fn chunks(groups: &[Tensor], rows: usize) -> Result<impl Iterator<Item = &[Tensor]>> {
+    let per_group = match groups.first() {
+        Some(group) => group.dim(0)? * group.dim(1)?,
+        None => 1,
+    };
+    Ok(groups.chunks((rows / per_group.max(1)).max(1)))
+}
+
+/// Undoes the concatenation of `groups`, for a tensor that has taken its place.
+fn split(x: &Tensor, groups: &[Tensor]) -> Result<Vec<Tensor>> {
+    let mut start = 0;
+    let part = |group: &Tensor| {
+        let batch = group.dim(0)?;
+        let part = x.narrow(0, start, batch);
+        start += batch;
+        part
+    };
+    groups.iter().map(part).collect()
 }

@@ -1,8 +1,15 @@
 //! Photos as users give them, and the way back to them from what a network saw.
 
 mod jpeg;
+mod network_frame;
+mod pillow_resize;
 
-use crate::{Error, Result};
+pub use network_frame::{
+    FRAME_SIDE_LIMIT, NetworkFrame, PATCH, TRAINED_SIZE, network_frames, network_input,
+};
+pub use pillow_resize::{PillowFilter, pillow_resize};
+
+use crate::{Error, Result, geometry::Intrinsics};
 use fast_image_resize as fir;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
 use serde::{Deserialize, Serialize};
@@ -115,10 +122,44 @@ impl PhotoTransform {
 
     /// The photo coordinates of frame coordinates (pixel centres at whole numbers in both).
     pub fn to_photo(&self, frame: [f64; 2]) -> [f64; 2] {
-        std::array::from_fn(|a| {
-            let scale = self.crop_size[a] / f64::from(self.frame_size[a]);
-            (frame[a] + 0.5) * scale + self.crop_origin[a] - 0.5
-        })
+        let scale = self.scale();
+        std::array::from_fn(|a| (frame[a] + 0.5) * scale[a] + self.crop_origin[a] - 0.5)
+    }
+
+    /// The lens of the photo, given that of the frame. A frame that was not resized by one factor along
+    /// both axes (whole numbers of pixels seldom allow it) has two focal lengths for one of the photo.
+    #[must_use]
+    pub fn intrinsics_of_photo(&self, frame: &Intrinsics) -> Intrinsics {
+        let [x, y] = self.scale();
+        let [cx, cy] = self.to_photo([frame.cx, frame.cy]);
+        Intrinsics {
+            width: self.photo_size[0],
+            height: self.photo_size[1],
+            fx: frame.fx * x,
+            fy: frame.fy * y,
+            cx,
+            cy,
+        }
+    }
+
+    /// The lens of the frame, given that of the photo.
+    #[must_use]
+    pub fn intrinsics_of_frame(&self, photo: &Intrinsics) -> Intrinsics {
+        let [x, y] = self.scale();
+        let [left, top] = self.crop_origin;
+        Intrinsics {
+            width: self.frame_size[0],
+            height: self.frame_size[1],
+            fx: photo.fx / x,
+            fy: photo.fy / y,
+            cx: (photo.cx + 0.5 - left) / x - 0.5,
+            cy: (photo.cy + 0.5 - top) / y - 0.5,
+        }
+    }
+
+    /// Photo pixels in a frame pixel, along x and y.
+    fn scale(&self) -> [f64; 2] {
+        std::array::from_fn(|axis| self.crop_size[axis] / f64::from(self.frame_size[axis]))
     }
 
     /// Cuts and resizes `photo` (Lanczos, antialiased); a frame of the photo's own pixels is copied.
@@ -173,4 +214,61 @@ fn cut_and_resize(
         .resize(picture, &mut result, &options)
         .expect("both pictures are 8-bit RGB and the part lies within the picture");
     result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_relative_eq;
+
+    #[test]
+    fn a_lens_goes_to_a_portrait_photo_and_back() {
+        // 3000x4000 halved, then the middle 1000 of 2000 rows.
+        let transform = PhotoTransform {
+            photo_size: [3000, 4000],
+            crop_origin: [0.0, 1000.0],
+            crop_size: [3000.0, 2000.0],
+            frame_size: [1500, 1000],
+        };
+        let of_frame = Intrinsics {
+            width: 1500,
+            height: 1000,
+            fx: 1400.0,
+            fy: 1410.0,
+            cx: 749.5,
+            cy: 499.5,
+        };
+        let of_photo = transform.intrinsics_of_photo(&of_frame);
+        let want = Intrinsics {
+            width: 3000,
+            height: 4000,
+            fx: 2800.0,
+            fy: 2820.0,
+            // The middle stays the middle.
+            cx: 1499.5,
+            cy: 1999.5,
+        };
+        assert_eq!(of_photo, want);
+        assert_eq!(transform.intrinsics_of_frame(&of_photo), of_frame);
+    }
+
+    #[test]
+    fn a_point_has_the_same_image_by_either_lens() {
+        let frame = NetworkFrame::new([1234, 777], 224, false).unwrap();
+        let transform = frame.transform();
+        let of_photo = Intrinsics {
+            width: 1234,
+            height: 777,
+            fx: 900.0,
+            fy: 901.0,
+            cx: 610.0,
+            cy: 391.0,
+        };
+        let point = [0.3, -0.2, 2.0].into();
+        let in_frame = transform.intrinsics_of_frame(&of_photo).project(&point);
+        let want = of_photo.project(&point).unwrap();
+        let got = transform.to_photo(in_frame.unwrap());
+        assert_relative_eq!(got[0], want[0], epsilon = 1e-9);
+        assert_relative_eq!(got[1], want[1], epsilon = 1e-9);
+    }
 }
