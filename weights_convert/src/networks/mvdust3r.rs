@@ -7,13 +7,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Map, Value, json};
-use tid3r_models::mvdust3r::Config;
+use tid3r_models::mvdust3r::{Config, MvDust3r};
 
 use super::{Hints, Plan, constructor, differences, unfit};
 use crate::{Checkpoint, Error, Result};
 
 /// Channels of an attention head in every published network of this family.
 const HEAD_CHANNELS: usize = 64;
+/// More blocks than this are a mistake in a configuration file, and would be listed one by one.
+const DEEPEST: usize = 1 << 10;
 /// Reference views of MV-DUSt3R+ in its demo; checkpoints do not say it.
 const REFERENCES: usize = 4;
 
@@ -264,91 +266,9 @@ fn harmonics(channels: usize, patch: usize) -> Result<usize, String> {
 
 /// Names and shapes of the tensors that the network uses.
 pub(super) fn tensors(config: &Config) -> Result<BTreeMap<String, Vec<usize>>, String> {
-    let (e, d, p) = (
-        config.enc_embed_dim,
-        config.dec_embed_dim,
-        config.patch_size,
-    );
-    let mut all = BTreeMap::new();
-    let mut add = |name: String, shape: &[usize]| {
-        all.insert(name, shape.to_vec());
-    };
-    let linear = |name: String, out: usize, inp: usize, add: &mut dyn FnMut(String, &[usize])| {
-        add(format!("{name}.weight"), &[out, inp]);
-        add(format!("{name}.bias"), &[out]);
-    };
-    let norm = |name: String, n: usize, add: &mut dyn FnMut(String, &[usize])| {
-        add(format!("{name}.weight"), &[n]);
-        add(format!("{name}.bias"), &[n]);
-    };
-    add("patch_embed.proj.weight".into(), &[e, 3, p, p]);
-    add("patch_embed.proj.bias".into(), &[e]);
-    for i in 0..config.enc_depth {
-        let b = format!("enc_blocks.{i}");
-        norm(format!("{b}.norm1"), e, &mut add);
-        norm(format!("{b}.norm2"), e, &mut add);
-        linear(format!("{b}.attn.qkv"), 3 * e, e, &mut add);
-        linear(format!("{b}.attn.proj"), e, e, &mut add);
-        linear(format!("{b}.mlp.fc1"), config.mlp_ratio * e, e, &mut add);
-        linear(format!("{b}.mlp.fc2"), e, config.mlp_ratio * e, &mut add);
+    let depth = config.enc_depth.max(config.dec_depth);
+    if depth > DEEPEST {
+        return Err(format!("{depth} blocks are more than any network has"));
     }
-    norm("enc_norm".into(), e, &mut add);
-    norm("dec_norm".into(), d, &mut add);
-    linear("decoder_embed".into(), d, e, &mut add);
-    for kind in ["dec_blocks", "dec_blocks2", "dec_same_view_blocks"] {
-        if kind == "dec_same_view_blocks" && !config.m_ref_flag {
-            continue;
-        }
-        for i in 0..config.dec_depth {
-            let b = format!("{kind}.{i}");
-            for n in ["norm1", "norm2", "norm3", "norm_y"] {
-                norm(format!("{b}.{n}"), d, &mut add);
-            }
-            linear(format!("{b}.attn.qkv"), 3 * d, d, &mut add);
-            linear(format!("{b}.attn.proj"), d, d, &mut add);
-            for n in ["projq", "projk", "projv", "proj"] {
-                linear(format!("{b}.cross_attn.{n}"), d, d, &mut add);
-            }
-            linear(format!("{b}.mlp.fc1"), config.mlp_ratio * d, d, &mut add);
-            linear(format!("{b}.mlp.fc2"), d, config.mlp_ratio * d, &mut add);
-        }
-    }
-    for head in ["downstream_head1", "downstream_head2"] {
-        linear(format!("{head}.proj"), 4 * p * p, d, &mut add);
-        if config.pts_head_config.skip {
-            let s = config.skip_dim;
-            for (i, (out, inp, k)) in [(s, 6, 3), (s, s, 5), (s, s, 5), (3, s, 3)]
-                .into_iter()
-                .enumerate()
-            {
-                add(
-                    format!("{head}.skip_proj.{i}.conv.weight"),
-                    &[out, inp, k, k],
-                );
-                add(format!("{head}.skip_proj.{i}.conv.bias"), &[out]);
-                for leaf in ["weight", "bias", "running_mean", "running_var"] {
-                    add(format!("{head}.skip_proj.{i}.norm.{leaf}"), &[out]);
-                }
-            }
-        }
-    }
-    if config.gs {
-        let m = config.gs_mlp_dim;
-        for h in 0..2 {
-            norm(format!("downstream_GS_head.{h}.norm"), d, &mut add);
-            for (n, c) in [
-                ("rgb", 3 * (config.sh_degree + 1).pow(2)),
-                ("opacity", 1),
-                ("scale2", 3),
-                ("rotation", 4),
-            ] {
-                add(format!("downstream_GS_head.{h}.mlp_{n}.0.weight"), &[m, d]);
-                add(
-                    format!("downstream_GS_head.{h}.mlp_{n}.2.weight"),
-                    &[c * p * p, m],
-                );
-            }
-        }
-    }
-    Ok(all)
+    MvDust3r::tensors(config).map_err(|e| e.to_string())
 }
