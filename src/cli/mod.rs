@@ -11,6 +11,7 @@ mod output;
 mod render;
 mod segment;
 pub(crate) mod terminal;
+mod weights;
 
 use anyhow::{Context, Result};
 use clap::{ArgAction, Args, Parser, Subcommand};
@@ -65,6 +66,7 @@ enum Verb {
     Render(render::Render),
     Export(export::Export),
     Evaluate(evaluate::Evaluate),
+    Weights(weights::Weights),
     Demo(demo::Demo),
     Completions(completions::Completions),
 }
@@ -88,6 +90,7 @@ impl Cli {
             Verb::Render(verb) => verb.run(&terminal),
             Verb::Export(verb) => verb.run(),
             Verb::Evaluate(verb) => verb.run(&terminal),
+            Verb::Weights(verb) => verb.run(&terminal),
             Verb::Demo(verb) => verb.run(&terminal),
             Verb::Completions(verb) => verb.run(),
         }

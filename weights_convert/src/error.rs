@@ -9,14 +9,15 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused to read, write or rename a file.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {reason}", path.display())]
     Io {
         /// What was tried, as a verb: `read`, `write`, `create`.
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
+        /// What the system said. Part of the message, and so not its `source` as well: whoever prints
+        /// the chain of causes would say it twice.
+        reason: std::io::Error,
     },
     /// A file is there, but what it holds cannot be used.
     #[error("{}: {problem}; {remedy}", path.display())]
@@ -28,12 +29,28 @@ pub enum Error {
         /// What the user can do.
         remedy: String,
     },
+    /// A request that cannot be met, whatever the files hold.
+    #[error("{problem}; {remedy}")]
+    Request {
+        /// Why it cannot be met.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
 }
 
 /// The result of everything in this crate that can fail.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
+    /// What is wrong, without the file and the remedy where those are known from elsewhere.
+    pub(crate) fn problem(self) -> String {
+        match self {
+            Self::File { problem, .. } => problem,
+            other => other.to_string(),
+        }
+    }
+
     /// An [`Error::File`] about `path`.
     pub(crate) fn file(path: &Path, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self::File {
@@ -43,13 +60,21 @@ impl Error {
         }
     }
 
+    /// An [`Error::Request`].
+    pub(crate) fn request(problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Request {
+            problem: problem.into(),
+            remedy: remedy.into(),
+        }
+    }
+
     /// For `map_err`: an [`Error::Io`] about `path`.
     pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_path_buf();
-        move |source| Self::Io {
+        move |reason| Self::Io {
             action,
             path,
-            source,
+            reason,
         }
     }
 }

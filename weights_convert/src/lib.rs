@@ -16,11 +16,33 @@
 //! `.pth` and `.pt`, folders of safetensors), which feed the same writer tensor by tensor, and the
 //! renamings between upstream names and ours where they differ.
 
+mod checkpoint;
+mod convert;
 mod error;
+mod find;
+mod folder;
+mod hash;
 mod manifest;
+mod networks;
+mod pickle;
+mod precision;
+mod progress;
 mod safetensors_file;
+mod stored;
 pub mod synth;
+mod synthesize;
+mod torch;
+mod verify;
 
+pub use checkpoint::Checkpoint;
+pub use convert::{ConvertOptions, convert, network_of};
 pub use error::{Error, Result};
+pub use find::{Found, Place, Places, find};
+pub use folder::{CONFIG_FILE, ConfigFile, Provenance, WEIGHTS_FILE, Written};
 pub use manifest::{Manifest, TensorSpec};
+pub use networks::{Config, Network};
+pub use precision::Precision;
+pub use progress::Step;
 pub use safetensors::Dtype;
+pub use synthesize::synthesize;
+pub use verify::{Verdict, verify};

@@ -27,6 +27,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
 
+use half::{bf16, f16};
 use rayon::prelude::*;
 use safetensors::Dtype;
 
@@ -77,12 +78,25 @@ pub fn write_checkpoint(manifest: &Manifest, seed: u64, path: &Path) -> Result<(
         ("source", "synthetic".to_owned()),
         ("seed", seed.to_string()),
     ]);
+    write(path, &metadata, manifest.tensors(), seed, |_| ()).map(drop)
+}
+
+/// Writes the synthetic values of `tensors` to `path`; the result is the file's SHA-256. Float
+/// tensors may be of half precision: the values are rounded then. `done` is told of bytes written.
+pub(crate) fn write(
+    path: &Path,
+    metadata: &BTreeMap<&str, String>,
+    tensors: &BTreeMap<String, TensorSpec>,
+    seed: u64,
+    mut done: impl FnMut(usize),
+) -> Result<String> {
     let mut buffer = Vec::new();
-    safetensors_file::write(path, &metadata, manifest.tensors(), |out, name, spec| {
-        match IntegerBuffer::named(name) {
+    safetensors_file::write(path, metadata, tensors, |out, name, spec| {
+        let written = match IntegerBuffer::named(name) {
             Some(buffer) if spec.dtype() == Dtype::I64 => buffer.write(out, spec.elements()),
-            _ => write_floats(out, name, spec, seed, &mut buffer),
-        }
+            _ => write_floats(out, name, spec, seed, &mut buffer, &mut done),
+        };
+        written.map_err(Error::io("write", path))
     })
 }
 
@@ -92,16 +106,23 @@ fn write_floats(
     spec: &TensorSpec,
     seed: u64,
     buffer: &mut Vec<u8>,
+    done: &mut impl FnMut(usize),
 ) -> io::Result<()> {
-    const SIZE: usize = size_of::<f32>();
+    let size = spec.dtype().bitsize() / 8;
     let elements = Elements::of_weight(name, spec.shape(), seed);
     for first in (0..spec.elements()).step_by(CHUNK) {
-        buffer.resize(SIZE * CHUNK.min(spec.elements() - first), 0);
-        buffer
-            .par_chunks_exact_mut(SIZE)
-            .enumerate()
-            .for_each(|(i, bytes)| bytes.copy_from_slice(&elements.get(first + i).to_le_bytes()));
+        buffer.resize(size * CHUNK.min(spec.elements() - first), 0);
+        let chunks = buffer.par_chunks_exact_mut(size).enumerate();
+        chunks.for_each(|(i, bytes)| {
+            let value = elements.get(first + i);
+            match spec.dtype() {
+                Dtype::F16 => bytes.copy_from_slice(&f16::from_f32(value).to_le_bytes()),
+                Dtype::BF16 => bytes.copy_from_slice(&bf16::from_f32(value).to_le_bytes()),
+                _ => bytes.copy_from_slice(&value.to_le_bytes()),
+            }
+        });
         out.write_all(buffer)?;
+        done(buffer.len());
     }
     Ok(())
 }

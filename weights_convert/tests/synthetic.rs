@@ -58,7 +58,7 @@ fn tensors_equal_the_recorded_ones_bit_for_bit() {
 
 #[test]
 fn the_manifest_of_mv_dust3r_reads() {
-    let manifest = Manifest::read(&reference("mvdust3r/state_dict_mvd.json")).unwrap();
+    let manifest = Manifest::read(&reference("state_dict_mvd.json")).unwrap();
     assert_eq!(manifest.tensors().len(), 953);
     let parameters: usize = manifest
         .tensors()

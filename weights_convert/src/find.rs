@@ -1,0 +1,238 @@
+//! Where weights are on this machine. Nothing here ever asks the network.
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+use hf_hub::{Cache, CacheRepo};
+use serde::Serialize;
+
+use crate::{CONFIG_FILE, ConfigFile, Error, Network, Result, Step, WEIGHTS_FILE, hash};
+
+/// The environment variable that names the folder of all weights: each network's are in
+/// `<TID3R_MODELS>/<network>`.
+const MODELS: &str = "TID3R_MODELS";
+
+/// Weights that are there.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Which network they are of.
+    pub network: &'static Network,
+    /// Their folder.
+    pub folder: PathBuf,
+    /// The file with the tensors.
+    pub weights: PathBuf,
+    /// What `config.json` says.
+    pub file: ConfigFile,
+    /// Where they were looked for and found.
+    pub place: Place,
+}
+
+/// A place where weights are looked for, in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Place {
+    /// The path that was given.
+    Given,
+    /// The folder that `TID3R_MODELS` names.
+    Models,
+    /// The local cache of Hugging Face.
+    HubCache,
+}
+
+/// Finds the weights of the network called `name`: at `given` (a folder with `model.safetensors` and
+/// `config.json`, or the former), else in the folder that `TID3R_MODELS` names, else in the local
+/// cache of Hugging Face.
+///
+/// # Errors
+///
+/// If there is no network of that name; if what is found first is damaged or of another network; and
+/// if nothing is found: the message says which file to get from where, and what to do with it.
+pub fn find(name: &str, given: Option<&Path>) -> Result<Found> {
+    Places::of_environment().find(Network::named(name)?, given)
+}
+
+impl Found {
+    /// The weights at `path`, of whatever network: a folder with `model.safetensors` and
+    /// `config.json`, or the former.
+    ///
+    /// # Errors
+    ///
+    /// If they are not there or not in that form.
+    pub fn at(path: &Path) -> Result<Self> {
+        Self::open(path, Place::Given)
+    }
+
+    /// The SHA-256 of the file with the tensors, in hexadecimal: it is read for that.
+    ///
+    /// # Errors
+    ///
+    /// If it cannot be read.
+    pub fn hash(&self) -> Result<String> {
+        hash::of_file(&self.weights, &mut |_: Step| ())
+    }
+
+    fn open(path: &Path, place: Place) -> Result<Self> {
+        let weights = if path.is_dir() {
+            path.join(WEIGHTS_FILE)
+        } else {
+            path.to_path_buf()
+        };
+        let remedy =
+            "convert a checkpoint with `tid3r weights convert FILE -o FOLDER` and give the folder";
+        let is_safetensors = weights
+            .extension()
+            .is_some_and(|extension| extension == "safetensors");
+        if !weights.is_file() || !is_safetensors {
+            let problem = match (weights.exists(), path.is_dir()) {
+                (false, true) => format!("no {WEIGHTS_FILE} is in it"),
+                (false, false) => "not there".to_owned(),
+                (true, _) => "not weights in the form that tid3r reads".to_owned(),
+            };
+            return Err(Error::file(path, problem, remedy));
+        }
+        let config = weights.with_file_name(CONFIG_FILE);
+        if !config.is_file() {
+            let problem = format!("no {CONFIG_FILE} is beside it");
+            return Err(Error::file(&weights, problem, remedy));
+        }
+        let file = ConfigFile::read(&config)?;
+        Ok(Self {
+            network: file.config.network(),
+            folder: weights.parent().unwrap_or(Path::new("")).to_path_buf(),
+            weights,
+            file,
+            place,
+        })
+    }
+}
+
+/// The places on this machine where weights can be.
+#[derive(Clone, Debug)]
+pub struct Places {
+    models: Option<PathBuf>,
+    cache: Option<Cache>,
+}
+
+impl Places {
+    /// Those that the environment names.
+    pub fn of_environment() -> Self {
+        let set = |name| {
+            env::var_os(name)
+                .filter(|value| !value.is_empty())
+                .map(PathBuf::from)
+        };
+        // The order of Hugging Face's own library.
+        let cache = set("HF_HUB_CACHE")
+            .or_else(|| set("HUGGINGFACE_HUB_CACHE"))
+            .or_else(|| Some(set("HF_HOME")?.join("hub")))
+            .or_else(|| Some(set("XDG_CACHE_HOME")?.join("huggingface/hub")))
+            .or_else(|| Some(env::home_dir()?.join(".cache/huggingface/hub")));
+        Self {
+            models: set(MODELS),
+            cache: cache.map(Cache::new),
+        }
+    }
+
+    /// The folder for converted weights of `network`, if `TID3R_MODELS` names one.
+    pub fn folder(&self, network: &Network) -> Option<PathBuf> {
+        Some(self.models.as_ref()?.join(network.name))
+    }
+
+    /// The published checkpoint of `network` in the local cache of Hugging Face, not converted.
+    pub fn published(&self, network: &Network) -> Option<PathBuf> {
+        let repository = self.repository(network)?;
+        network.files.iter().find_map(|file| repository.get(file))
+    }
+
+    fn repository(&self, network: &Network) -> Option<CacheRepo> {
+        Some(self.cache.as_ref()?.model(network.repository.to_owned()))
+    }
+
+    /// Converted weights of `network` in the cache: beside the published files, or in a folder of the
+    /// network's name.
+    fn cached(&self, network: &Network) -> Option<PathBuf> {
+        let repository = self.repository(network)?;
+        let name = network.name;
+        [
+            format!("{name}/{WEIGHTS_FILE}"),
+            format!("checkpoints/{name}/{WEIGHTS_FILE}"),
+        ]
+        .iter()
+        .find_map(|file| repository.get(file))
+    }
+
+    /// As [`find`].
+    ///
+    /// # Errors
+    ///
+    /// As [`find`].
+    pub fn find(&self, network: &'static Network, given: Option<&Path>) -> Result<Found> {
+        let found = match given {
+            Some(path) => Found::open(path, Place::Given)?,
+            None => match self.folder(network).filter(|folder| folder.exists()) {
+                Some(folder) => Found::open(&folder, Place::Models)?,
+                None => match self.cached(network) {
+                    Some(weights) => Found::open(&weights, Place::HubCache)?,
+                    None => return Err(self.nothing(network)),
+                },
+            },
+        };
+        if found.network != network {
+            return Err(Error::file(
+                &found.weights,
+                format!(
+                    "weights of {}, not of {}",
+                    found.network.title, network.title
+                ),
+                format!(
+                    "give weights of {}, or ask for {}",
+                    network.name, found.network.name
+                ),
+            ));
+        }
+        Ok(found)
+    }
+
+    /// Exactly what to get and where to put it.
+    fn nothing(&self, network: &Network) -> Error {
+        let looked = match (&self.models, &self.cache) {
+            (Some(models), _) => format!("{} has no folder {}", models.display(), network.name),
+            (None, _) => format!("{MODELS} is not set"),
+        };
+        let cached = match &self.cache {
+            Some(cache) => format!("nothing in {}", cache.path().display()),
+            None => "no cache of Hugging Face".to_owned(),
+        };
+        let target = match self.folder(network) {
+            Some(folder) => folder.display().to_string(),
+            None => format!("MODELS/{}", network.name),
+        };
+        let export = if self.models.is_none() {
+            format!(" and set {MODELS}=MODELS")
+        } else {
+            String::new()
+        };
+        let remedy = match self.published(network) {
+            Some(file) => format!(
+                "its checkpoint is there: `tid3r weights convert {} -o {target}`{export}",
+                file.display()
+            ),
+            None => {
+                let file = network.files[0];
+                let name = file.rsplit('/').next().unwrap_or(file);
+                format!(
+                    "get {file} from https://huggingface.co/{} ({}), then \
+                     `tid3r weights convert {name} -o {target}`{export}",
+                    network.repository, network.licence
+                )
+            }
+        };
+        Error::request(
+            format!(
+                "no weights of {} are found: {looked}, {cached}",
+                network.title
+            ),
+            remedy,
+        )
+    }
+}

@@ -1,0 +1,78 @@
+//! Checkpoints of PyTorch, as `torch.save` has written them since version 1.6: a zip archive, not
+//! compressed, in which `NAME/data.pkl` is a pickle that describes the tensors and each file
+//! `NAME/data/KEY` is a storage of numbers.
+
+mod archive;
+mod state_dict;
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::Path;
+
+use archive::Archive;
+use state_dict::View;
+
+use crate::checkpoint::Contents;
+use crate::pickle::Pickle;
+use crate::stored::StoredTensor;
+use crate::{Error, Result};
+
+pub(crate) use archive::starts_as_zip;
+
+const REMEDY: &str = "a checkpoint must be a file of torch.save that holds a state dict";
+
+/// Finds the tensors of the archive in `file`, whose name is `path` and whose size `length` bytes.
+///
+/// Only the pickle is read, not the numbers.
+pub(crate) fn contents(path: &Path, file: &File, length: u64) -> Result<Contents> {
+    let mut archive = Archive::open(path, file, length)?;
+    let bytes = archive.pickle()?;
+    let refuse = |problem: String| Error::file(path, problem, REMEDY);
+    let pickle = Pickle::read(&bytes).map_err(|e| refuse(e.to_string()))?;
+    let found = state_dict::find(&pickle).map_err(refuse)?;
+    drop(pickle);
+
+    let mut tensors = BTreeMap::new();
+    for (name, view) in found.tensors {
+        let tensor = locate(&mut archive, &view)?.map_err(|problem| {
+            let remedy = "it is damaged: get it again";
+            Error::file(path, format!("tensor `{name}`: {problem}"), remedy)
+        })?;
+        tensors.insert(name, tensor);
+    }
+    Ok(Contents {
+        tensors,
+        constructor: found.constructor,
+        metadata: BTreeMap::new(),
+    })
+}
+
+/// The numbers of `view` in the file, or what is wrong with them.
+fn locate(archive: &mut Archive<'_>, view: &View) -> Result<Result<StoredTensor, String>> {
+    let Some(storage) = archive.storage(&view.key)? else {
+        return Ok(Err(format!("its storage `{}` is missing", view.key)));
+    };
+    Ok((|| {
+        let too_large = || "it is larger than memory can address".to_owned();
+        let size = view.dtype.bitsize() / 8;
+        let claimed = view
+            .storage_elements
+            .checked_mul(size)
+            .ok_or_else(too_large)? as u64;
+        if claimed > storage.length {
+            return Err(format!(
+                "its storage has {} bytes where {claimed} are announced",
+                storage.length
+            ));
+        }
+        let first = view.offset.checked_mul(size).ok_or_else(too_large)? as u64;
+        let start = storage.start.checked_add(first).ok_or_else(too_large)?;
+        let (shape, strides) = (view.shape.clone(), view.strides.clone());
+        let tensor =
+            StoredTensor::strided(view.dtype, shape, strides, start).ok_or_else(too_large)?;
+        match first.checked_add(tensor.extent_bytes() as u64) {
+            Some(end) if end <= claimed => Ok(tensor),
+            _ => Err(format!("shape {:?} reaches beyond its storage", view.shape)),
+        }
+    })())
+}
