@@ -15,11 +15,18 @@
 )]
 
 mod gemm;
+mod host;
 mod isa;
+mod linear;
 mod math;
+mod peak;
 mod scratch;
 mod shared;
 mod simd;
 
 pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
 pub use isa::Isa;
+pub use peak::measured_peak_flops;
+
+pub(super) use host::HostTensor;
+pub(super) use linear::linear;

@@ -22,7 +22,6 @@ unsafe impl<T: Send> Sync for Shared<T> {}
 /// # Safety
 ///
 /// `fill` writes every element unless it fails, and nothing beyond.
-#[allow(dead_code, reason = "for the layers")]
 pub(super) unsafe fn filled<E>(
     len: usize,
     fill: impl FnOnce(*mut f32) -> Result<(), E>,

@@ -19,7 +19,6 @@ mod tests;
 
 use candle_core::{Result, bail};
 
-use super::Isa;
 use super::scratch::Scratch;
 use crate::nn::Activation;
 use block::{Block, Panels};
