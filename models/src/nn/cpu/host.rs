@@ -41,4 +41,14 @@ impl<'a> HostTensor<'a> {
         let data = storage.as_slice::<f32>()?;
         Ok(&data[self.layout.start_offset().min(data.len())..])
     }
+
+    /// Sizes, outermost first.
+    pub(in crate::nn) fn dims(&self) -> &[usize] {
+        self.layout.dims()
+    }
+
+    /// Distances of elements along each dimension.
+    pub(in crate::nn) fn strides(&self) -> &[usize] {
+        self.layout.stride()
+    }
 }

@@ -36,6 +36,24 @@ pub(super) fn exp<S: Simd>(simd: S, x: S::V) -> S::V {
     simd.scale(polynomial(simd, r, &EXP), n)
 }
 
+/// `2^y` with a relative error below 2e-7 for `y` within -125 to 127; `2^-125` below that.
+#[inline(always)]
+pub(super) fn exp2<S: Simd>(simd: S, y: S::V) -> S::V {
+    // 2^y = 2^n 2^f, |f| <= 1/2. The minimax polynomial for the relative error, 2e-9.
+    const EXP2: [f32; 7] = [
+        1.0,
+        0.693_147_2,
+        0.240_226_47,
+        0.055_503_285,
+        0.009_618_49,
+        0.001_340_006_3,
+        0.000_153_456_93,
+    ];
+    let y = simd.max(simd.splat(-125.0), y);
+    let n = simd.round(y);
+    simd.scale(polynomial(simd, simd.sub(y, n), &EXP2), n)
+}
+
 /// `x Phi(x)`, Phi being the normal distribution function; the error is below 2e-8 and a unit in
 /// the last place of the result.
 #[inline(always)]
@@ -55,20 +73,11 @@ pub(super) fn gelu<S: Simd>(simd: S, x: S::V) -> S::V {
         -6.530_435e-6,
         3.106_818_3e-7,
     ];
-    /// 2^f for |f| <= 1/2, the minimax polynomial for the relative error of 2e-9.
-    const EXP2: [f32; 7] = [
-        1.0,
-        0.693_147_2,
-        0.240_226_47,
-        0.055_503_285,
-        0.009_618_49,
-        0.001_340_006_3,
-        0.000_153_456_93,
-    ];
     let size = simd.abs(x);
-    let y = polynomial(simd, simd.min(simd.splat(8.0), size), &LOG2_Q);
-    let n = simd.round(y);
-    let tail = simd.scale(polynomial(simd, simd.sub(y, n), &EXP2), n);
+    let tail = exp2(
+        simd,
+        polynomial(simd, simd.min(simd.splat(8.0), size), &LOG2_Q),
+    );
     simd.fnma(size, tail, simd.max(simd.splat(0.0), x))
 }
 

@@ -14,6 +14,7 @@
     reason = "vector instructions, inner loops without bounds checks, and shared output arrays"
 )]
 
+mod attention;
 mod gemm;
 mod host;
 mod isa;
@@ -28,5 +29,6 @@ pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_ser
 pub use isa::Isa;
 pub use peak::measured_peak_flops;
 
+pub(super) use attention::attention;
 pub(super) use host::HostTensor;
 pub(super) use linear::linear;

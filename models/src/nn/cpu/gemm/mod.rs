@@ -26,6 +26,7 @@ use pack::pack_rows;
 
 pub use matrix::{Factor, Matrix, MatrixMut};
 pub use pack::PackedFactor;
+pub(in crate::nn::cpu) use pack::pack_lines;
 pub use parallel::gemm;
 pub(in crate::nn::cpu) use parallel::gemm_into;
 

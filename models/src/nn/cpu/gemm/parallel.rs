@@ -146,8 +146,7 @@ impl Product<'_> {
                 columns: columns.len(),
                 a: self.a.skip(rows.start / mr).at_depth(from),
                 b: Panels::new(&packed, nr, to - from),
-                // SAFETY: the first of the rows and columns of this part is inside of `C`.
-                c: unsafe { self.c.0.add(rows.start * self.stride + columns.start) },
+                c: self.c.add(rows.start * self.stride + columns.start),
                 stride: self.stride,
                 bias: self.epilogue.bias.map(|bias| &bias[columns.clone()]),
                 activation: self.epilogue.activation,

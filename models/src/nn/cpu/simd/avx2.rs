@@ -168,7 +168,19 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    unsafe fn tile(self, depth: usize, a: *const f32, b: *const f32, out: *mut f32) {
-        unsafe { tile::<Self, 6, 2>(self, depth, a, b, out) }
+    unsafe fn tile(
+        self,
+        depth: usize,
+        columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile::<Self, 6, 1>(self, depth, a, b, out),
+                false => tile::<Self, 6, 2>(self, depth, a, b, out),
+            }
+        }
     }
 }

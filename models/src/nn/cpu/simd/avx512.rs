@@ -162,7 +162,19 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    unsafe fn tile(self, depth: usize, a: *const f32, b: *const f32, out: *mut f32) {
-        unsafe { tile::<Self, 14, 2>(self, depth, a, b, out) }
+    unsafe fn tile(
+        self,
+        depth: usize,
+        columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile::<Self, 14, 1>(self, depth, a, b, out),
+                false => tile::<Self, 14, 2>(self, depth, a, b, out),
+            }
+        }
     }
 }

@@ -146,7 +146,14 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    unsafe fn tile(self, depth: usize, a: *const f32, b: *const f32, out: *mut f32) {
+    unsafe fn tile(
+        self,
+        depth: usize,
+        _columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
         unsafe { tile::<Self, 4, 1>(self, depth, a, b, out) }
     }
 }
