@@ -307,7 +307,7 @@ impl KeyBlock<'_> {
         let unit = std::f32::consts::LOG2_E / (dim as f32).sqrt();
         let mut offsets = [simd.splat(0.0); MAX_LANES];
         let mut totals = offsets;
-        for i in 0..mr {
+        for (i, offset) in offsets.iter_mut().enumerate().take(mr) {
             let mut most = simd.splat(f32::NEG_INFINITY);
             for key in (0..keys).step_by(S::LANES) {
                 // SAFETY: inside of the tiles.
@@ -316,7 +316,7 @@ impl KeyBlock<'_> {
             let before = sums.greatest[first + i];
             let now = before.max(simd.greatest(most) * unit);
             let shrink = (before - now).exp2();
-            offsets[i] = simd.splat(-now);
+            *offset = simd.splat(-now);
             sums.greatest[first + i] = now;
             sums.weights[first + i] *= shrink;
             if shrink != 1.0 {
@@ -340,8 +340,8 @@ impl KeyBlock<'_> {
                 unsafe { simd.store(weights.as_mut_ptr().add((key + j) * mr), column) };
             }
         }
-        for i in 0..mr {
-            sums.weights[first + i] += simd.sum(totals[i]);
+        for (sum, &total) in sums.weights[first..].iter_mut().zip(&totals).take(mr) {
+            *sum += simd.sum(total);
         }
         let mut tile = [0.0; MAX_TILE];
         for column in (0..dim).step_by(nr) {

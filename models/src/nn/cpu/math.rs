@@ -21,7 +21,7 @@ pub(super) fn exp<S: Simd>(simd: S, x: S::V) -> S::V {
     const EXP: [f32; 7] = [
         1.0,
         1.0,
-        0.499_999_92,
+        0.499_999_9,
         0.166_664_19,
         0.041_668_232,
         0.008_374_898,
@@ -42,7 +42,7 @@ pub(super) fn exp2<S: Simd>(simd: S, y: S::V) -> S::V {
     // 2^y = 2^n 2^f, |f| <= 1/2. The minimax polynomial for the relative error, 2e-9.
     const EXP2: [f32; 7] = [
         1.0,
-        0.693_147_2,
+        std::f32::consts::LN_2,
         0.240_226_47,
         0.055_503_285,
         0.009_618_49,
@@ -63,7 +63,7 @@ pub(super) fn gelu<S: Simd>(simd: S, x: S::V) -> S::V {
     // greatest error of |x| Q(|x|) is least (2e-9). Beyond 8, Q is below 1e-15.
     const LOG2_Q: [f32; 10] = [
         -0.999_999_7,
-        -1.151_110_05,
+        -1.151_11,
         -0.459_187_48,
         -0.052_527_79,
         0.007_069_701_3,

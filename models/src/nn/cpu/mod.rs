@@ -15,12 +15,15 @@
 )]
 
 mod attention;
+mod elementwise;
 mod gemm;
 mod host;
 mod isa;
+mod layer_norm;
 mod linear;
 mod math;
 mod peak;
+mod rope;
 mod scratch;
 mod shared;
 mod simd;
@@ -30,5 +33,8 @@ pub use isa::Isa;
 pub use peak::measured_peak_flops;
 
 pub(super) use attention::attention;
+pub(super) use elementwise::activation;
 pub(super) use host::HostTensor;
+pub(super) use layer_norm::layer_norm;
 pub(super) use linear::linear;
+pub(super) use rope::rotate;
