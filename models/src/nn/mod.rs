@@ -11,6 +11,7 @@ mod activation;
 mod attention;
 mod block;
 mod conv;
+pub mod cpu;
 mod layer_norm;
 mod linear;
 mod mlp;
