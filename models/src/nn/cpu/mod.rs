@@ -14,6 +14,7 @@
     reason = "vector instructions, inner loops without bounds checks, and shared output arrays"
 )]
 
+pub(in crate::nn) mod conv;
 mod gemm;
 mod isa;
 mod math;
