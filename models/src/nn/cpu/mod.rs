@@ -15,6 +15,7 @@
 )]
 
 mod attention;
+pub(in crate::nn) mod conv;
 mod elementwise;
 mod gemm;
 mod host;
