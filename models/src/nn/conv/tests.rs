@@ -7,7 +7,13 @@ fn conv(inputs: usize, outputs: usize, kernel: usize) -> Conv2d {
         let value = |i: usize| ((i * 7919 + name.len()) % 23) as f32 / 23.0 - 0.4;
         (0..shape.iter().product()).map(value).collect()
     };
-    Conv2d::new(inputs, outputs, kernel, &Weights::from_fn(make, &Device::Cpu)).unwrap()
+    Conv2d::new(
+        inputs,
+        outputs,
+        kernel,
+        &Weights::from_fn(make, &Device::Cpu),
+    )
+    .unwrap()
 }
 
 fn image(shape: (usize, usize, usize, usize)) -> Tensor {
@@ -67,7 +73,8 @@ fn what_does_not_fit_is_refused() {
     assert!(forward(&x.squeeze(0).unwrap()).is_err());
     assert!(forward(&x.to_dtype(candle_core::DType::F64).unwrap()).is_err());
     assert!(conv.forward_add(&x, &x).is_err());
-    let empty = forward(&Tensor::zeros((0, 3, 3, 4), candle_core::DType::F32, &Device::Cpu).unwrap());
+    let empty =
+        forward(&Tensor::zeros((0, 3, 3, 4), candle_core::DType::F32, &Device::Cpu).unwrap());
     assert_eq!(empty.unwrap().dims(), [0, 3, 3, 5]);
 }
 
@@ -80,7 +87,11 @@ fn a_folded_norm_is_the_norm() {
     };
     let norm = BatchNorm2d::new(4, 1e-5, &Weights::from_fn(make, &Device::Cpu)).unwrap();
     let x = image((1, 5, 4, 3));
-    let got = conv.folded(&norm).unwrap().forward(&x, Activation::Identity).unwrap();
+    let got = conv
+        .folded(&norm)
+        .unwrap()
+        .forward(&x, Activation::Identity)
+        .unwrap();
     let y = conv.plain(&x).unwrap();
     let channel = |p: &Parameter| p.tensor().unwrap();
     let want = y

@@ -142,7 +142,10 @@ impl Layer {
 /// The L2 norm of the difference over that of `want`.
 fn error(got: &[f32], want: &[f64]) -> f64 {
     assert_eq!(got.len(), want.len());
-    let squares = got.iter().zip(want).map(|(&g, w)| (f64::from(g) - w).powi(2));
+    let squares = got
+        .iter()
+        .zip(want)
+        .map(|(&g, w)| (f64::from(g) - w).powi(2));
     let size: f64 = want.iter().map(|w| w * w).sum();
     (squares.sum::<f64>() / size).sqrt()
 }

@@ -84,7 +84,13 @@ impl Winograd {
     }
 
     /// See [`super::Convolution::run`].
-    pub(super) fn run(&self, images: Images, x: &[f32], epilogue: Epilogue<'_>, out: &mut [f32]) -> Result<()> {
+    pub(super) fn run(
+        &self,
+        images: Images,
+        x: &[f32],
+        epilogue: Epilogue<'_>,
+        out: &mut [f32],
+    ) -> Result<()> {
         match (self.scheme.products(), self.scheme.outputs) {
             (4, 2) => self.run_sized::<4, 2>(images, x, epilogue, out),
             (6, 2) => self.run_sized::<6, 2>(images, x, epilogue, out),

@@ -119,7 +119,12 @@ mod tests {
         // point is what it is at the others' zeros, and the filter divides by it.
         let data = [[1, 0, -1, 0], [0, -1, -1, 0], [0, 1, -1, 0], [0, -1, 0, 1]];
         assert_eq!(Scheme::F23.of_data(), data);
-        let filter = [[1.0, 0.0, 0.0], [-0.5; 3], [-0.5, 0.5, -0.5], [0.0, 0.0, 1.0]];
+        let filter = [
+            [1.0, 0.0, 0.0],
+            [-0.5; 3],
+            [-0.5, 0.5, -0.5],
+            [0.0, 0.0, 1.0],
+        ];
         assert_eq!(Scheme::F23.of_filter(), filter);
         let products = [[1, 0], [1, 1], [1, -1], [0, 1]];
         assert_eq!(Scheme::F23.of_products(), products);

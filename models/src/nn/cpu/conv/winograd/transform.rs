@@ -111,7 +111,9 @@ mod tests {
         let want: Vec<f32> = scheme.of_data().iter().map(|row| dot(row)).collect();
         // All numbers are whole and small.
         assert_eq!(got[..], want[..], "{scheme:?}");
-        let got = transform.outputs::<_, N, M>(Portable, vectors).map(|v| v[0]);
+        let got = transform
+            .outputs::<_, N, M>(Portable, vectors)
+            .map(|v| v[0]);
         let matrix = scheme.of_products();
         for (i, got) in got.into_iter().enumerate() {
             let column: Vec<i64> = matrix.iter().map(|row| row[i]).collect();
