@@ -120,6 +120,46 @@ pub fn recover_cameras(
     });
     let keep = |p: &Pointmap| p.confidence.map(|&c| c >= confidence_threshold);
     let kept: Vec<Map<bool>> = pointmaps.iter().map(keep).collect();
+    let (views, shared_focal) = recover(pointmaps, kept, known, params, seed, progress);
+    Ok(Recovery {
+        views,
+        confidence_threshold,
+        shared_focal,
+    })
+}
+
+/// As [`recover_cameras`], with the pixels to use given instead of chosen by their confidence; that
+/// still has its say in the focal length.
+///
+/// # Errors
+/// As [`recover_cameras`], the masks being checked like the confidences.
+pub fn recover_cameras_under_masks(
+    pointmaps: &[Pointmap],
+    kept: &[Map<bool>],
+    known: &[Option<Intrinsics>],
+    params: &RecoveryParams,
+    seed: u64,
+    progress: &dyn Progress,
+) -> Result<Vec<RecoveredView>> {
+    check(pointmaps, known)?;
+    let fits = |(pointmap, kept): (&Pointmap, &Map<bool>)| pointmap.points.same_size(kept);
+    if kept.len() != pointmaps.len() || !pointmaps.iter().zip(kept).all(fits) {
+        return Err(Error::request(
+            "the masks are not of the pointmaps' number and size",
+            "give one for each pointmap, of its size",
+        ));
+    }
+    Ok(recover(pointmaps, kept.to_vec(), known, params, seed, progress).0)
+}
+
+fn recover(
+    pointmaps: &[Pointmap],
+    kept: Vec<Map<bool>>,
+    known: &[Option<Intrinsics>],
+    params: &RecoveryParams,
+    seed: u64,
+    progress: &dyn Progress,
+) -> (Vec<RecoveredView>, Option<f64>) {
     let focal = first_focal(&pointmaps[0], params.focal_per_view);
     let pnp = PnpParams {
         seed,
@@ -137,18 +177,14 @@ pub fn recover_cameras(
             };
             let outcome = lens
                 .map_err(RecoveryError::Focal)
-                .and_then(|lens| recover(pointmap, &kept, &lens, &pnp));
+                .and_then(|lens| recover_view(pointmap, &kept, &lens, &pnp));
             progress.advance(1);
             RecoveredView { kept, outcome }
         })
         .collect();
     progress.end();
     let is_shared = !params.focal_per_view && known.iter().any(Option::is_none);
-    Ok(Recovery {
-        views,
-        confidence_threshold,
-        shared_focal: focal.ok().filter(|_| is_shared),
-    })
+    (views, focal.ok().filter(|_| is_shared))
 }
 
 /// The focal length of the pointmap that is in its own camera's frame, from all but the least
@@ -197,7 +233,7 @@ fn centred(points: &Map<[f32; 3]>, focal: f64) -> Intrinsics {
     }
 }
 
-fn recover(
+fn recover_view(
     pointmap: &Pointmap,
     kept: &Map<bool>,
     lens: &Lens,
@@ -220,7 +256,7 @@ fn recover(
 }
 
 /// The points of the true pixels of `kept`, each with its pixel.
-pub fn correspondences(points: &Map<[f32; 3]>, kept: &Map<bool>) -> Vec<Correspondence> {
+fn correspondences(points: &Map<[f32; 3]>, kept: &Map<bool>) -> Vec<Correspondence> {
     let masked = kept.values().iter().zip(points.values()).enumerate();
     masked
         .filter(|&(_, (&kept, _))| kept)

@@ -7,6 +7,7 @@
 
 mod case;
 mod comparison;
+mod geometry;
 
 use anyhow::{Context, Result, ensure};
 use case::Case;
@@ -23,8 +24,12 @@ type Runner = fn(&Case, &mut Comparison) -> Result<()>;
 
 /// What computes the tensors of `model`.
 fn runner(model: &str) -> Option<Runner> {
-    let _ = model;
-    None
+    match model {
+        "estimate_focal" => Some(geometry::estimate_focals),
+        "demo_geometry" => Some(geometry::demo_geometry),
+        "metrics" => Some(geometry::metrics),
+        _ => None,
+    }
 }
 
 fn main() -> ExitCode {
