@@ -93,7 +93,7 @@ pub enum RecoveryError {
 ///
 /// 1. Points below the joint confidence threshold are left out.
 /// 2. Views whose lens is not in `known` get one focal length, from the first pointmap
-///    ([`estimate_focal`]), with the principal point at (W/2, H/2). That is half a pixel right of and
+///    ([`estimate_focal`]; the [`robust_focal`] where points at the camera have spoilt it), with the principal point at (W/2, H/2). That is half a pixel right of and
 ///    below the middle, pixel centres being at whole coordinates; it is where the authors put it, and
 ///    where the networks have learned it to be. With `focal_per_view` the first view gets its
 ///    [`robust_focal`], each other one a focal length together with its pose.
@@ -189,16 +189,31 @@ fn recover(
 
 /// The focal length of the pointmap that is in its own camera's frame, from all but the least
 /// confident 3 % of its pixels, whatever the threshold for the scene.
+///
+/// With `robust` false it is the authors' value, unless a few points spoil that so thoroughly that it
+/// has nothing to do with what most of them say.
 fn first_focal(pointmap: &Pointmap, robust: bool) -> Result<f64, FocalError> {
     let own = pointmap.confidence.values().iter().copied();
     let threshold = least_confidence(own, |count| count * 0.03);
     let mask = pointmap.confidence.map(|&c| c >= threshold);
+    let votes = robust_focal(&pointmap.points, &mask);
     if robust {
-        robust_focal(&pointmap.points, &mask)
-    } else {
-        estimate_focal(&pointmap.points, &mask, WEISZFELD_STEPS)
+        return votes;
+    }
+    let iterated = estimate_focal(&pointmap.points, &mask, WEISZFELD_STEPS);
+    match (iterated, votes) {
+        (Ok(iterated), Ok(votes)) => {
+            let off = (iterated / votes).max(votes / iterated);
+            Ok(if off < SPOILT { iterated } else { votes })
+        }
+        (Err(_), Ok(votes)) => Ok(votes),
+        (iterated, Err(_)) => iterated,
     }
 }
+
+/// Noise keeps the two estimates within a few percent of each other: a larger factor between them is
+/// from points at the camera.
+const SPOILT: f64 = 1.1;
 
 /// As many as MV-DUSt3R takes.
 const WEISZFELD_STEPS: usize = 10;

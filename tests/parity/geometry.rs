@@ -69,7 +69,7 @@ pub(crate) fn demo_geometry(case: &Case, comparison: &mut Comparison) -> Result<
 pub(crate) fn metrics(case: &Case, comparison: &mut Comparison) -> Result<()> {
     let poses_of = |name| -> Result<Vec<Pose>> {
         let tensor = case.input(name)?;
-        views(tensor)?.iter().map(|view| read_pose(view)).collect()
+        views(tensor)?.iter().map(read_pose).collect()
     };
     let truth_poses = poses_of("gt_c2w")?;
     let views_of = |name| -> Result<Vec<Map<[f32; 3]>>> {
