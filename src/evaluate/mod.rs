@@ -6,6 +6,9 @@
 pub mod depth;
 pub mod image;
 pub mod instances;
+mod nearest;
+pub mod pointmaps;
+pub mod poses;
 pub mod scene;
 
 use crate::Error;

@@ -7,7 +7,7 @@ mod stage;
 pub use anomalies::{CleanParams, Verdict, judge_points};
 pub use recovery::{
     Pointmap, RecoveredCamera, RecoveredView, Recovery, RecoveryError, RecoveryParams,
-    correspondences, recover_cameras,
+    recover_cameras, recover_cameras_under_masks,
 };
 pub use stage::{CleanReport, CleanedPhoto, NewScene, clean};
 

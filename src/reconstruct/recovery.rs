@@ -93,7 +93,7 @@ pub enum RecoveryError {
 ///
 /// 1. Points below the joint confidence threshold are left out.
 /// 2. Views whose lens is not in `known` get one focal length, from the first pointmap
-///    ([`estimate_focal`]), with the principal point at (W/2, H/2). That is half a pixel right of and
+///    ([`estimate_focal`]; the [`robust_focal`] where points at the camera have spoilt it), with the principal point at (W/2, H/2). That is half a pixel right of and
 ///    below the middle, pixel centres being at whole coordinates; it is where the authors put it, and
 ///    where the networks have learned it to be. With `focal_per_view` the first view gets its
 ///    [`robust_focal`], each other one a focal length together with its pose.
@@ -120,6 +120,46 @@ pub fn recover_cameras(
     });
     let keep = |p: &Pointmap| p.confidence.map(|&c| c >= confidence_threshold);
     let kept: Vec<Map<bool>> = pointmaps.iter().map(keep).collect();
+    let (views, shared_focal) = recover(pointmaps, kept, known, params, seed, progress);
+    Ok(Recovery {
+        views,
+        confidence_threshold,
+        shared_focal,
+    })
+}
+
+/// As [`recover_cameras`], with the pixels to use given instead of chosen by their confidence; that
+/// still has its say in the focal length.
+///
+/// # Errors
+/// As [`recover_cameras`], the masks being checked like the confidences.
+pub fn recover_cameras_under_masks(
+    pointmaps: &[Pointmap],
+    kept: &[Map<bool>],
+    known: &[Option<Intrinsics>],
+    params: &RecoveryParams,
+    seed: u64,
+    progress: &dyn Progress,
+) -> Result<Vec<RecoveredView>> {
+    check(pointmaps, known)?;
+    let fits = |(pointmap, kept): (&Pointmap, &Map<bool>)| pointmap.points.same_size(kept);
+    if kept.len() != pointmaps.len() || !pointmaps.iter().zip(kept).all(fits) {
+        return Err(Error::request(
+            "the masks are not of the pointmaps' number and size",
+            "give one for each pointmap, of its size",
+        ));
+    }
+    Ok(recover(pointmaps, kept.to_vec(), known, params, seed, progress).0)
+}
+
+fn recover(
+    pointmaps: &[Pointmap],
+    kept: Vec<Map<bool>>,
+    known: &[Option<Intrinsics>],
+    params: &RecoveryParams,
+    seed: u64,
+    progress: &dyn Progress,
+) -> (Vec<RecoveredView>, Option<f64>) {
     let focal = first_focal(&pointmaps[0], params.focal_per_view);
     let pnp = PnpParams {
         seed,
@@ -137,32 +177,43 @@ pub fn recover_cameras(
             };
             let outcome = lens
                 .map_err(RecoveryError::Focal)
-                .and_then(|lens| recover(pointmap, &kept, &lens, &pnp));
+                .and_then(|lens| recover_view(pointmap, &kept, &lens, &pnp));
             progress.advance(1);
             RecoveredView { kept, outcome }
         })
         .collect();
     progress.end();
     let is_shared = !params.focal_per_view && known.iter().any(Option::is_none);
-    Ok(Recovery {
-        views,
-        confidence_threshold,
-        shared_focal: focal.ok().filter(|_| is_shared),
-    })
+    (views, focal.ok().filter(|_| is_shared))
 }
 
 /// The focal length of the pointmap that is in its own camera's frame, from all but the least
 /// confident 3 % of its pixels, whatever the threshold for the scene.
+///
+/// With `robust` false it is the authors' value, unless a few points spoil that so thoroughly that it
+/// has nothing to do with what most of them say.
 fn first_focal(pointmap: &Pointmap, robust: bool) -> Result<f64, FocalError> {
     let own = pointmap.confidence.values().iter().copied();
     let threshold = least_confidence(own, |count| count * 0.03);
     let mask = pointmap.confidence.map(|&c| c >= threshold);
+    let votes = robust_focal(&pointmap.points, &mask);
     if robust {
-        robust_focal(&pointmap.points, &mask)
-    } else {
-        estimate_focal(&pointmap.points, &mask, WEISZFELD_STEPS)
+        return votes;
+    }
+    let iterated = estimate_focal(&pointmap.points, &mask, WEISZFELD_STEPS);
+    match (iterated, votes) {
+        (Ok(iterated), Ok(votes)) => {
+            let off = (iterated / votes).max(votes / iterated);
+            Ok(if off < SPOILT { iterated } else { votes })
+        }
+        (Err(_), Ok(votes)) => Ok(votes),
+        (iterated, Err(_)) => iterated,
     }
 }
+
+/// Noise keeps the two estimates within a few percent of each other: a larger factor between them is
+/// from points at the camera.
+const SPOILT: f64 = 1.1;
 
 /// As many as MV-DUSt3R takes.
 const WEISZFELD_STEPS: usize = 10;
@@ -197,7 +248,7 @@ fn centred(points: &Map<[f32; 3]>, focal: f64) -> Intrinsics {
     }
 }
 
-fn recover(
+fn recover_view(
     pointmap: &Pointmap,
     kept: &Map<bool>,
     lens: &Lens,
@@ -220,7 +271,7 @@ fn recover(
 }
 
 /// The points of the true pixels of `kept`, each with its pixel.
-pub fn correspondences(points: &Map<[f32; 3]>, kept: &Map<bool>) -> Vec<Correspondence> {
+fn correspondences(points: &Map<[f32; 3]>, kept: &Map<bool>) -> Vec<Correspondence> {
     let masked = kept.values().iter().zip(points.values()).enumerate();
     masked
         .filter(|&(_, (&kept, _))| kept)

@@ -10,6 +10,7 @@ mod comparison;
 mod layers;
 mod mvdust3r;
 mod photos;
+mod geometry;
 
 use anyhow::{Context, Result, ensure};
 use case::Case;
@@ -38,6 +39,12 @@ fn runner(model: &str) -> Option<Runner> {
         "preprocess" => photos::preprocess,
         _ => return None,
     })
+    match model {
+        "estimate_focal" => Some(geometry::estimate_focals),
+        "demo_geometry" => Some(geometry::demo_geometry),
+        "metrics" => Some(geometry::metrics),
+        _ => None,
+    }
 }
 
 fn main() -> ExitCode {
