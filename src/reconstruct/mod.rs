@@ -2,9 +2,11 @@
 
 mod anomalies;
 mod stage;
+mod view_order;
 
 pub use anomalies::{CleanParams, Verdict, judge_points};
 pub use stage::{CleanReport, CleanedPhoto, NewScene, clean};
+pub use view_order::{OrderChoice, spread_order, view_order};
 
 use crate::{Result, photos::Photo, progress::Progress, scene::Frame};
 

@@ -25,6 +25,7 @@ type Runner = fn(&Case, &mut Comparison) -> Result<()>;
 /// What computes the tensors of `model`.
 fn runner(model: &str) -> Option<Runner> {
     Some(match model {
+        "demo_view_order" => photos::view_order,
         "preprocess" => photos::preprocess,
         _ => return None,
     })
