@@ -47,7 +47,8 @@ impl Overlaps {
         Self::from_pairs(count, &pairs, &overlaps)
     }
 
-    fn from_pairs(count: usize, pairs: &[[usize; 2]], overlaps: &[f64]) -> Self {
+    /// The overlaps of these pairs, and those by way of a third picture.
+    pub(super) fn from_pairs(count: usize, pairs: &[[usize; 2]], overlaps: &[f64]) -> Self {
         let mut values = vec![0.0; count * count];
         for (&[a, b], overlap) in pairs.iter().zip(overlaps) {
             values[a * count + b] = *overlap;
@@ -80,7 +81,9 @@ impl Overlaps {
     }
 }
 
-/// The share of the fields with corners in which corners of both pictures agree.
+/// How much two pictures show of the same: the root of the share of fields with corners in which
+/// corners agree. The fewer pixels are shared, the more the viewpoints differ and the fewer of the
+/// shared corners are found again; on rendered rooms the root is near the true share of pixels.
 fn shared(a: &[Feature], b: &[Feature]) -> f64 {
     let matches = matches(a, b);
     let agreeing: Vec<[usize; 2]> = matches
@@ -93,7 +96,7 @@ fn shared(a: &[Feature], b: &[Feature]) -> f64 {
         let agreeing = fields(agreeing.iter().map(|m| &features[m[side]]));
         agreeing as f64 / all.max(1) as f64
     };
-    (share(a, 0) + share(b, 1)) / 2.0
+    ((share(a, 0) + share(b, 1)) / 2.0).sqrt()
 }
 
 /// In how many fields the features are.
