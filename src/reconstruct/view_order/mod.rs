@@ -79,8 +79,9 @@ fn order_by_overlap(overlaps: &Overlaps, references: usize) -> Vec<usize> {
             order.iter().map(|&a| overlaps.between(a, candidate)).sum()
         };
         let rest = (0..count).filter(|candidate| !order.contains(candidate));
-        let best = rest.fold(None, |best: Option<(usize, f64)>, candidate| {
-            let worth = worth(candidate);
+        let best = rest.fold(None, |best: Option<(usize, [f64; 2])>, candidate| {
+            // Two pictures that are new to all but each other are worth the same as references.
+            let worth = [worth(candidate), total(candidate)];
             match best {
                 Some((_, most)) if most >= worth => best,
                 _ => Some((candidate, worth)),
