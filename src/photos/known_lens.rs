@@ -1,4 +1,4 @@
-use crate::{exchange::rgbd::Lens, geometry::Intrinsics};
+use crate::{exchange::rgbd::Lens, geometry::Intrinsics, parameters};
 
 /// What a user knows of the lens of a photo, in pixels of the upright photo.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,12 +15,7 @@ impl KnownLens {
     /// # Errors
     /// What is wrong with `text`, when it is no positive number.
     pub fn parse_focal(text: &str) -> Result<Self, String> {
-        match text.trim().parse() {
-            Ok(focal) if f64::is_finite(focal) && focal > 0.0 => Ok(Self::Focal(focal)),
-            _ => Err(format!(
-                "`{text}` is not a focal length: a number of pixels above 0"
-            )),
-        }
+        parameters::positive(text).map(Self::Focal)
     }
 
     /// `fx,fy,cx,cy`, as a user writes them.

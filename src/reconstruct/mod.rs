@@ -3,6 +3,7 @@
 mod anomalies;
 mod recovery;
 mod stage;
+mod view_order;
 
 pub use anomalies::{CleanParams, Verdict, judge_points};
 pub use recovery::{
@@ -10,6 +11,7 @@ pub use recovery::{
     recover_cameras, recover_cameras_under_masks,
 };
 pub use stage::{CleanReport, CleanedPhoto, NewScene, clean};
+pub use view_order::{OrderChoice, spread_order, view_order};
 
 use crate::{
     Result,

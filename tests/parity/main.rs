@@ -7,10 +7,10 @@
 
 mod case;
 mod comparison;
+mod geometry;
 mod layers;
 mod mvdust3r;
 mod photos;
-mod geometry;
 
 use anyhow::{Context, Result, ensure};
 use case::Case;
@@ -37,14 +37,12 @@ fn runner(model: &str) -> Option<Runner> {
         "gs_head" => mvdust3r::gaussian_head,
         "mvdust3r" => mvdust3r::network,
         "preprocess" => photos::preprocess,
+        "demo_view_order" => photos::view_order,
+        "estimate_focal" => geometry::estimate_focals,
+        "demo_geometry" => geometry::demo_geometry,
+        "metrics" => geometry::metrics,
         _ => return None,
     })
-    match model {
-        "estimate_focal" => Some(geometry::estimate_focals),
-        "demo_geometry" => Some(geometry::demo_geometry),
-        "metrics" => Some(geometry::metrics),
-        _ => None,
-    }
 }
 
 fn main() -> ExitCode {

@@ -1,11 +1,14 @@
-//! Photos on their way into MV-DUSt3R.
+//! Photos on their way into MV-DUSt3R, and their order.
 
 use crate::{case::Case, comparison::Comparison};
 use anyhow::{Context, Result};
 use candle_core::{DType, Device, Tensor};
 use image::RgbImage;
 use serde::Deserialize;
-use tid3r::photos::{NetworkFrame, network_input};
+use tid3r::{
+    photos::{NetworkFrame, network_input},
+    reconstruct::spread_order,
+};
 
 #[derive(Deserialize)]
 struct PreprocessConfig {
@@ -37,6 +40,19 @@ pub(crate) fn preprocess(case: &Case, comparison: &mut Comparison) -> Result<()>
         comparison.check(&format!("true_shape_{index}"), &true_shape);
         let pixels = Tensor::from_vec(frame.into_raw(), (height, width, 3), &Device::Cpu)?;
         comparison.check_all_but(&format!("u8_{index}"), &pixels, 0.01, 1.0);
+    }
+    Ok(())
+}
+
+/// The demo's order of views.
+pub(crate) fn view_order(case: &Case, comparison: &mut Comparison) -> Result<()> {
+    for name in case.expected().keys() {
+        let count = name
+            .strip_prefix("order_")
+            .and_then(|count| count.parse().ok());
+        let count = count.with_context(|| format!("`{name}` does not end in a number"))?;
+        let order: Vec<i64> = spread_order(count).into_iter().map(|k| k as i64).collect();
+        comparison.check(name, &Tensor::new(order, &Device::Cpu)?);
     }
     Ok(())
 }
