@@ -29,6 +29,9 @@ pub enum Error {
         /// What the user can do.
         remedy: String,
     },
+    /// Weights cannot be found, read or converted.
+    #[error(transparent)]
+    Weights(#[from] tid3r_weights_convert::Error),
     /// A request that cannot be met, whatever the files hold.
     #[error("{problem}; {remedy}")]
     Request {

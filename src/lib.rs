@@ -11,6 +11,7 @@ pub mod error;
 pub mod evaluate;
 pub mod exchange;
 pub mod geometry;
+pub mod machine;
 pub mod map;
 pub mod parameters;
 pub mod photos;

@@ -97,9 +97,44 @@ pub fn coordinates<const N: usize>(text: &str) -> Result<[f64; N], String> {
         .map_err(|_| format!("{N} numbers with commas between are wanted"))
 }
 
+/// An amount of memory, in bytes: a number with a unit, as in `8GB`, `6.5GiB` or `500MB`.
+///
+/// # Errors
+/// As [`finite`].
+pub fn memory(text: &str) -> Result<u64, String> {
+    let text = text.trim();
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic() || c == ' ');
+    let unit: f64 = match text[digits.len()..].trim().to_ascii_lowercase().as_str() {
+        "kb" => 1e3,
+        "mb" | "m" => 1e6,
+        "gb" | "g" => 1e9,
+        "kib" => 1024.0,
+        "mib" => 1_048_576.0,
+        "gib" => 1_073_741_824.0,
+        _ => {
+            return Err(format!(
+                "'{text}' is no amount of memory, such as 8GB or 500MB"
+            ));
+        }
+    };
+    let bytes = positive(digits)? * unit;
+    let checked = (bytes < 1e18).then_some(bytes as u64);
+    checked.ok_or_else(|| "less memory is wanted".into())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn amounts_of_memory_have_units() {
+        assert_eq!(memory("8GB"), Ok(8_000_000_000));
+        assert_eq!(memory(" 1.5 gib "), Ok(1_610_612_736));
+        assert_eq!(memory("500m"), Ok(500_000_000));
+        for text in ["8", "GB", "-1GB", "8 apples", "", "1e40GB"] {
+            assert!(memory(text).is_err(), "{text}");
+        }
+    }
 
     #[test]
     fn ranges_end_where_they_say() {

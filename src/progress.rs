@@ -8,6 +8,10 @@ pub trait Progress: Sync {
     fn advance(&self, steps: usize);
     /// The task has ended.
     fn end(&self);
+    /// Something worth knowing before the next task.
+    fn note(&self, text: &str) {
+        let _ = text;
+    }
 }
 
 /// Tells nobody.

@@ -8,6 +8,7 @@ mod evaluate;
 mod export;
 mod import;
 mod output;
+mod reconstruct;
 mod render;
 mod segment;
 pub(crate) mod terminal;
@@ -27,7 +28,7 @@ use terminal::Terminal;
     propagate_version = true,
     subcommand_required = true
 )]
-#[command(after_help = "Start with `tid3r demo`, or `tid3r import RECORDING -o SCENE`.")]
+#[command(after_help = "Start with `tid3r demo`, or `tid3r reconstruct PHOTOS -o SCENE`.")]
 pub(crate) struct Cli {
     #[command(flatten)]
     global: Global,
@@ -59,6 +60,7 @@ struct Global {
 /// What each does is said where it is defined: words here would hide those from the help.
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Reconstruct(Box<reconstruct::Reconstruct>),
     Import(import::Import),
     Clean(clean::Clean),
     Segment(segment::Segment),
@@ -83,6 +85,7 @@ impl Cli {
         }
         let terminal = Terminal::new(self.global.quiet);
         match self.verb {
+            Verb::Reconstruct(verb) => verb.run(&terminal),
             Verb::Import(verb) => verb.run(&terminal),
             Verb::Clean(verb) => verb.run(&terminal),
             Verb::Segment(verb) => verb.run(&terminal),

@@ -12,6 +12,7 @@ use tracing_subscriber::EnvFilter;
 pub(crate) struct Terminal {
     bar: Mutex<ProgressBar>,
     visible: bool,
+    quiet: bool,
 }
 
 impl Terminal {
@@ -19,6 +20,7 @@ impl Terminal {
         Self {
             bar: Mutex::new(ProgressBar::hidden()),
             visible: !quiet && std::io::stderr().is_terminal(),
+            quiet,
         }
     }
 
@@ -57,6 +59,13 @@ impl Progress for Terminal {
 
     fn end(&self) {
         self.with_bar(|bar| bar.finish_and_clear());
+    }
+
+    fn note(&self, text: &str) {
+        if !self.quiet {
+            // With standard error gone there is nobody left to tell.
+            let _ = writeln!(std::io::stderr(), "{text}");
+        }
     }
 }
 

@@ -1,7 +1,9 @@
 use crate::{exchange::rgbd::Lens, geometry::Intrinsics, parameters};
+use serde::Serialize;
 
 /// What a user knows of the lens of a photo, in pixels of the upright photo.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum KnownLens {
     /// The focal length; the principal point is the middle.
     Focal(f64),

@@ -18,12 +18,14 @@ pub use pillow_resize::{PillowFilter, pillow_resize};
 
 use crate::{Error, Result, geometry::Intrinsics};
 use fast_image_resize as fir;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
+use image::{
+    DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage, metadata::Orientation,
+};
 use serde::{Deserialize, Serialize};
 use std::{
     fmt::Display,
     fs,
-    io::Cursor,
+    io::{BufReader, Cursor},
     path::{Path, PathBuf},
 };
 
@@ -48,6 +50,31 @@ impl Photo {
             path: path.into(),
             as_stored: false,
         }
+    }
+
+    /// Width and height, of the upright photo unless [`Photo::as_stored`]; only the file's head is read.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is no picture that tid3r can decode.
+    pub fn size(&self) -> Result<[u32; 2]> {
+        let file = fs::File::open(&self.path).map_err(Error::io("read", &self.path))?;
+        let head = ImageReader::new(BufReader::new(file))
+            .with_guessed_format()
+            .map_err(Error::io("read", &self.path))?
+            .into_decoder()
+            .and_then(|mut decoder| Ok((decoder.orientation()?, decoder.dimensions())));
+        let (orientation, (width, height)) = head.map_err(|error| unreadable(&self.path, error))?;
+        let is_turned = matches!(
+            orientation,
+            Orientation::Rotate90
+                | Orientation::Rotate270
+                | Orientation::Rotate90FlipH
+                | Orientation::Rotate270FlipH
+        );
+        Ok(match is_turned && !self.as_stored {
+            true => [height, width],
+            false => [width, height],
+        })
     }
 
     /// The pixels, turned upright by the EXIF orientation unless [`Photo::as_stored`].

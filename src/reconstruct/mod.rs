@@ -1,11 +1,13 @@
 //! From photos to cameras and depth, and the removal of points that cannot be right.
 
 mod anomalies;
+mod mvdust3r;
 mod recovery;
 mod stage;
 mod view_order;
 
 pub use anomalies::{CleanParams, Verdict, judge_points};
+pub use mvdust3r::{FocalSource, MvDust3rParams, MvDust3rReconstructor, RunEstimate};
 pub use recovery::{
     Pointmap, RecoveredCamera, RecoveredView, Recovery, RecoveryError, RecoveryParams,
     recover_cameras, recover_cameras_under_masks,
@@ -77,6 +79,8 @@ pub enum Placement {
         /// Root mean square of their distances from where the camera should see them, pixels of the
         /// frame.
         rms_px: f64,
+        /// Whether so few points agree that the camera is probably wrong.
+        doubtful: bool,
     },
     /// It has not; the scene is made without it.
     LeftOut {

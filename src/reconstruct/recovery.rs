@@ -75,6 +75,14 @@ pub struct RecoveredCamera {
     pub fit: PoseFit,
 }
 
+impl RecoveredCamera {
+    /// Whether so few points agree with the pose that it may be chance: the camera is the best that
+    /// could be found, and probably wrong.
+    pub fn is_doubtful(&self) -> bool {
+        self.fit.inlier_share < PnpParams::default().min_inlier_share
+    }
+}
+
 /// Why a view has no camera.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RecoveryError {
@@ -163,6 +171,8 @@ fn recover(
     let focal = first_focal(&pointmaps[0], params.focal_per_view);
     let pnp = PnpParams {
         seed,
+        // Whoever asks for cameras decides what becomes of doubtful ones.
+        min_inlier_share: 0.0,
         ..PnpParams::default()
     };
     progress.begin("recovering cameras", pointmaps.len());

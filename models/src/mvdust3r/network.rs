@@ -178,7 +178,7 @@ impl MvDust3r {
             Paths::First,
             options.gaussians,
         );
-        let work = work.points_heads + work.gaussian_heads;
+        let work = work.points_heads + work.gaussian_heads - work.saved;
         for slot in 0..images.len() {
             let items: Vec<(usize, usize)> = (0..tokens.len())
                 .map(|path| (path, view_in_slot(slot, path)))

@@ -14,7 +14,8 @@ pub trait Observer {
         Ok(())
     }
 
-    /// So many more multiply-adds are done, of those that [`super::Work`] counts.
+    /// So many more multiply-adds are done, of those that [`super::Work::computed`] counts for a batch of
+    /// one.
     fn advance(&mut self, multiply_adds: f64) {
         let _ = multiply_adds;
     }

@@ -1,0 +1,133 @@
+use crate::{
+    Error, Result,
+    machine::{available_memory, readable_bytes, readable_seconds},
+};
+use std::fmt;
+use tid3r_models::{
+    mvdust3r::{Config, Memory, Options, Paths, Work},
+    nn::cpu::measured_peak_flops,
+};
+
+/// What a run of the network will take on this machine.
+#[derive(Clone, Debug)]
+pub struct RunEstimate {
+    config: Config,
+    views: usize,
+    /// Height and width of the pictures.
+    size: (usize, usize),
+    gaussians: bool,
+    work: Work,
+    /// Seconds, about.
+    pub seconds: f64,
+    /// Bytes, about, if memory is no concern.
+    pub bytes: u64,
+}
+
+/// The share of the machine's best that runs reach, by experience.
+const REACHED: f64 = 0.6;
+/// Taken by the program itself.
+const PROGRAM_BYTES: u64 = 60_000_000;
+/// Tokens at a time, from what is fast to what is small.
+const ROWS: [usize; 5] = [4096, 2048, 1024, 512, 1];
+
+impl RunEstimate {
+    /// For `views` pictures of `size` (height, width).
+    ///
+    /// # Errors
+    /// When the machine cannot be measured, or no network has this configuration.
+    pub fn new(
+        config: &Config,
+        views: usize,
+        size: (usize, usize),
+        gaussians: bool,
+    ) -> Result<Self> {
+        let work = Work::new(config, views, size, Paths::First, gaussians && config.gs);
+        let peak =
+            measured_peak_flops(rayon::current_num_threads()).map_err(|error| unknown(&error))?;
+        let mut estimate = Self {
+            config: config.clone(),
+            views,
+            size,
+            gaussians,
+            work,
+            seconds: 2.0 * work.computed() / (REACHED * peak),
+            bytes: 0,
+        };
+        estimate.bytes = estimate.bytes_with(views, ROWS[0])?;
+        Ok(estimate)
+    }
+
+    /// Multiply-adds that the run will compute.
+    pub fn work(&self) -> f64 {
+        self.work.computed()
+    }
+
+    /// Bytes that `views` pictures take with so many tokens at a time.
+    fn bytes_with(&self, views: usize, rows: usize) -> Result<u64> {
+        let options = Options {
+            gaussians: self.gaussians && self.config.gs,
+            rows,
+            ..Options::default()
+        };
+        let memory = Memory::new(&self.config, views, self.size, &options);
+        Ok(memory.map_err(|error| unknown(&error))?.total() as u64 + PROGRAM_BYTES)
+    }
+
+    /// The most tokens at a time with which the run fits into `limit` bytes, or, if none is given, into
+    /// what is available.
+    ///
+    /// # Errors
+    /// When it does not fit; the message says what would.
+    pub fn rows_within(&self, limit: Option<u64>) -> Result<usize> {
+        let Some(limit) = limit.or_else(available_memory) else {
+            return Ok(ROWS[0]);
+        };
+        for rows in ROWS {
+            if self.bytes_with(self.views, rows)? <= limit {
+                return Ok(rows);
+            }
+        }
+        let smallest = ROWS[ROWS.len() - 1];
+        let least = self.config.references().max(2);
+        let mut fitting = None;
+        for views in (least..self.views).rev() {
+            if self.bytes_with(views, smallest)? <= limit {
+                fitting = Some(views);
+                break;
+            }
+        }
+        let (height, width) = self.size;
+        let needed = readable_bytes(self.bytes_with(self.views, smallest)?);
+        Err(Error::request(
+            format!(
+                "{} photos at {width}x{height} need {needed} of memory, and there may be {}",
+                self.views,
+                readable_bytes(limit)
+            ),
+            match fitting {
+                Some(views) => format!("give at most {views} photos, or a smaller --size"),
+                None => format!("allow for {needed}, or give a smaller --size"),
+            },
+        ))
+    }
+}
+
+impl fmt::Display for RunEstimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (height, width) = self.size;
+        write!(
+            f,
+            "{} photos at {width}x{height}: about {} and {}",
+            self.views,
+            readable_seconds(self.seconds),
+            readable_bytes(self.bytes)
+        )
+    }
+}
+
+fn unknown(problem: &dyn fmt::Display) -> Error {
+    Error::request(
+        format!("what the run will take cannot be told: {problem}"),
+        "report this as a defect",
+    )
+}
