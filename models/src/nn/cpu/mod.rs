@@ -1,6 +1,6 @@
 //! Fast kernels for f32 on CPUs, which the layers beside this module call.
 //!
-//! Each kernel is written once, against the vectors of [`simd`], and compiled for every instruction
+//! Each kernel is written once, against the vectors of `simd`, and compiled for every instruction
 //! set; [`Isa::current`] says at run time which one is used. The environment variable `TID3R_CPU`
 //! (`avx512`, `avx2` or `portable`) overrides it.
 //!

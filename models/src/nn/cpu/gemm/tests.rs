@@ -189,7 +189,7 @@ fn sizes_are_checked() {
 
 #[test]
 fn threads_do_not_change_a_result() {
-    let (rows, columns, depth) = (450, 100, 70);
+    let (rows, columns, depth) = (800, 100, 530);
     let (a, b) = (noise(rows * depth, 1), noise(columns * depth, 2));
     let a = Matrix::new(&a, rows, depth, depth).unwrap();
     let b = Factor::Transposed(Matrix::new(&b, columns, depth, depth).unwrap());
