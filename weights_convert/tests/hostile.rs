@@ -64,6 +64,40 @@ fn an_honest_archive_is_read() {
 }
 
 #[test]
+fn an_archive_of_many_tensors_is_read() {
+    let tensor = |i| {
+        Tensor::f32(
+            &format!("{i}.{}", "block.".repeat(12)),
+            &[4],
+            &[i as f32; 4],
+        )
+    };
+    let tensors: Vec<_> = (0..5000).map(tensor).collect();
+    let folder = "a-checkpoint-with-a-long-name";
+    let checkpoint = open(&torch_zip(folder, &state_dict(&tensors), &tensors)).unwrap();
+    assert_eq!(checkpoint.shapes().len(), 5000);
+}
+
+#[test]
+fn names_that_would_fill_the_screen_are_cut() {
+    let name = "\u{1b}[2J\n".repeat(1 << 16);
+    refused(
+        &with(|t| (t.name, t.offset) = (name.clone(), 1)),
+        "\\u{1b}[2J\\n",
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let source = folder.path().join("hostile.pth");
+    fs::write(&source, with(|t| t.name = name)).unwrap();
+    let out = folder.path().join("out");
+    let error = convert(&source, &out, &ConvertOptions::default(), &mut |_| ()).unwrap_err();
+    let message = error.to_string();
+    assert!(
+        message.len() < 1000 && message.lines().count() == 1,
+        "{message}"
+    );
+}
+
+#[test]
 fn files_that_are_no_checkpoint() {
     refused(b"", "empty");
     refused(b"\x00", "not a checkpoint");
