@@ -9,7 +9,7 @@ use crate::{
     geometry::Camera,
     photos::{Photo, PhotoTransform},
     progress::Progress,
-    reconstruct::Reconstructor,
+    reconstruct::{Reconstruction, Reconstructor},
     scene::{Frame, files},
 };
 use image::{ImageEncoder, codecs::png::PngEncoder};
@@ -151,9 +151,9 @@ impl StageSet {
 
 impl Reconstructor for StageSet {
     /// The input photos as an imperfect network reconstructs them; the held-out ones exactly.
-    fn reconstruct(&self, photos: &[Photo], progress: &dyn Progress) -> Result<Vec<Frame>> {
+    fn reconstruct(&self, photos: &[Photo], progress: &dyn Progress) -> Result<Reconstruction> {
         progress.begin("reconstructing", photos.len());
-        let frames = photos
+        let frames: Result<Vec<Frame>> = photos
             .par_iter()
             .map(|photo| {
                 let named = |shots: &[Shot]| shots.iter().position(|shot| shot.name == photo.name);
@@ -192,7 +192,7 @@ impl Reconstructor for StageSet {
             })
             .collect();
         progress.end();
-        frames
+        Ok(frames?.into())
     }
 }
 

@@ -1,9 +1,16 @@
 //! Photos as users give them, and the way back to them from what a network saw.
 
+mod exif_focal;
+mod from_paths;
 mod jpeg;
+mod known_lens;
+mod names;
 mod network_frame;
 mod pillow_resize;
 
+pub use from_paths::{PHOTO_COUNT_LIMIT, photos_from_paths};
+pub use known_lens::KnownLens;
+pub(crate) use names::{PHOTO_ENDINGS, natural_key};
 pub use network_frame::{
     FRAME_SIDE_LIMIT, NetworkFrame, PATCH, TRAINED_SIZE, network_frames, network_input,
 };

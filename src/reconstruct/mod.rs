@@ -11,15 +11,74 @@ pub use recovery::{
 };
 pub use stage::{CleanReport, CleanedPhoto, NewScene, clean};
 
-use crate::{Result, photos::Photo, progress::Progress, scene::Frame};
+use crate::{
+    Result,
+    photos::Photo,
+    progress::Progress,
+    scene::{Frame, Gaussians},
+};
+use serde::{Deserialize, Serialize};
 
-/// Gives each photo depth, intrinsics and pose: the paper's {Z_i, K_i, T_i} = D({I_i}).
+/// Gives photos depth, intrinsics and pose: the paper's {Z_i, K_i, T_i} = D({I_i}).
 ///
 /// A network looks at the photos; a recording looks them up.
 pub trait Reconstructor {
-    /// One frame for each photo, in the photos' order, all in one scene frame and scale.
+    /// What is known of the photos then, all in one scene frame and scale.
     ///
     /// # Errors
-    /// When a photo cannot be read or its geometry cannot be had.
-    fn reconstruct(&self, photos: &[Photo], progress: &dyn Progress) -> Result<Vec<Frame>>;
+    /// When a photo cannot be read, or the geometry of so many cannot be had that there is no scene.
+    fn reconstruct(&self, photos: &[Photo], progress: &dyn Progress) -> Result<Reconstruction>;
+}
+
+/// What a [`Reconstructor`] made of photos.
+#[derive(Clone, Debug, Default)]
+pub struct Reconstruction {
+    /// One frame for each photo that has a place in the scene, in the photos' order.
+    pub frames: Vec<Frame>,
+    /// The Gaussians of each frame; empty if there are none.
+    pub gaussians: Vec<Gaussians>,
+    /// What there is to tell of each photo; empty if there is nothing.
+    pub photos: Vec<PlacedPhoto>,
+}
+
+impl From<Vec<Frame>> for Reconstruction {
+    fn from(frames: Vec<Frame>) -> Self {
+        Self {
+            frames,
+            ..Self::default()
+        }
+    }
+}
+
+/// What became of one photo.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlacedPhoto {
+    /// The photo.
+    pub name: String,
+    /// Its place in the order in which the network saw the photos: 0 is the reference.
+    pub view: usize,
+    /// Where it has its place in the scene, or why it has none.
+    #[serde(flatten)]
+    pub outcome: Placement,
+}
+
+/// Whether a photo has a place in the scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Placement {
+    /// It has.
+    Placed {
+        /// The lens, for the original photo.
+        intrinsics: crate::geometry::Intrinsics,
+        /// The share of its points that agree with the camera.
+        inlier_share: f64,
+        /// Root mean square of their distances from where the camera should see them, pixels of the
+        /// frame.
+        rms_px: f64,
+    },
+    /// It has not; the scene is made without it.
+    LeftOut {
+        /// Why.
+        reason: String,
+    },
 }

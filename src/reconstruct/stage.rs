@@ -1,4 +1,4 @@
-use super::{CleanParams, Reconstructor, Verdict, judge_points};
+use super::{CleanParams, Reconstruction, Reconstructor, Verdict, judge_points};
 use crate::{
     Error, Map, Result,
     geometry::{Camera, floor_frame},
@@ -55,8 +55,13 @@ impl NewScene<'_> {
             }
         }
         let photos: Vec<Photo> = self.inputs.iter().chain(self.held_out).cloned().collect();
-        let mut frames = self.reconstructor.reconstruct(&photos, progress)?;
-        let held_out = frames.split_off(self.inputs.len());
+        let Reconstruction {
+            frames,
+            gaussians,
+            photos,
+        } = self.reconstructor.reconstruct(&photos, progress)?;
+        let is_input = |frame: &Frame| self.inputs.contains(&frame.photo);
+        let (frames, held_out): (Vec<_>, Vec<_>) = frames.into_iter().partition(is_input);
         let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
         let stages = match Scene::open(folder) {
             // Later stages notice by themselves whether their input has changed.
@@ -81,12 +86,14 @@ impl NewScene<'_> {
             |scene, recipe| {
                 scene.write_frames(Role::Input, &frames, recipe)?;
                 scene.write_frames(Role::HeldOut, &held_out, recipe)?;
+                scene.write_gaussians(&frames, &gaussians, recipe)?;
                 let points =
                     |frame: &Frame| frame.depth.values().iter().filter(|&&z| z > 0.0).count();
                 let report = serde_json::json!({
                     "frames": frames.len(),
                     "held_out": held_out.len(),
                     "points": frames.iter().map(points).sum::<usize>(),
+                    "photos": photos,
                 });
                 Ok((content_hash(&frames), report))
             },

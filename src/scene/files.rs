@@ -178,7 +178,11 @@ pub fn bytes_of<T: Element>(map: &Map<T>) -> Vec<u8> {
 ///
 /// # Errors
 /// As [`write_atomically`].
-pub fn write_maps<T: Element>(path: &Path, maps: &[(&str, &Map<T>)], recipe: &str) -> Result<()> {
+pub fn write_maps<T: Element>(
+    path: &Path,
+    maps: &[(impl AsRef<str>, &Map<T>)],
+    recipe: &str,
+) -> Result<()> {
     let bytes: Vec<Vec<u8>> = maps.iter().map(|(_, map)| bytes_of(map)).collect();
     let broken = |error: safetensors::SafeTensorError| {
         Error::file(
@@ -193,7 +197,7 @@ pub fn write_maps<T: Element>(path: &Path, maps: &[(&str, &Map<T>)], recipe: &st
         .map(|((name, map), bytes)| {
             let shape = vec![map.height() as usize, map.width() as usize];
             Ok((
-                *name,
+                name.as_ref(),
                 TensorView::new(T::DTYPE, shape, bytes).map_err(broken)?,
             ))
         })

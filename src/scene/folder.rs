@@ -1,5 +1,5 @@
 use super::{
-    Cloud, Frame, FrameRecord, Manifest, Stage, StageRecord,
+    Cloud, Frame, FrameRecord, Gaussians, Manifest, Stage, StageRecord,
     files::{self, Element, MapFile},
     manifest::VERSION,
 };
@@ -171,6 +171,26 @@ impl Scene {
             files::write_png(&at("colour.png"), &frame.colour)?;
             let maps = [("depth", &frame.depth), ("confidence", &frame.confidence)];
             files::write_maps(&at("geometry.safetensors"), &maps, recipe)
+        })
+    }
+
+    /// Writes the Gaussians of input frames, one for each frame or none at all, and removes those of
+    /// frames that have none; for use within [`Scene::run_stage`].
+    ///
+    /// # Errors
+    /// When a file cannot be written or removed.
+    pub fn write_gaussians(
+        &self,
+        frames: &[Frame],
+        gaussians: &[Gaussians],
+        recipe: &str,
+    ) -> Result<()> {
+        frames.iter().enumerate().try_for_each(|(index, frame)| {
+            let path = self.file_of(Role::Input, &frame.photo.name, "gaussians.safetensors");
+            match gaussians.get(index) {
+                Some(gaussians) => files::write_maps(&path, &gaussians.maps(), recipe),
+                None => remove(&path),
+            }
         })
     }
 
@@ -410,13 +430,7 @@ impl Scene {
     /// # Errors
     /// When the file cannot be removed.
     pub fn drop_points(&self) -> Result<()> {
-        let path = self.folder.join("points.ply");
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => {
-                Err(Error::io("remove", &path)(error))
-            }
-            _ => Ok(()),
-        }
+        remove(&self.folder.join("points.ply"))
     }
 
     /// Writes the cleaned cloud, before edits, as `points.ply`, if there is none.
@@ -465,6 +479,14 @@ fn check(path: &Path, manifest: &Manifest) -> Result<()> {
     }
     check_names(path, manifest)?;
     check_cameras(path, manifest)
+}
+
+/// Removes a file, if there is one.
+fn remove(path: &Path) -> Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::io("remove", path)(error)),
+        _ => Ok(()),
+    }
 }
 
 fn to_value(value: &impl Serialize) -> Result<Value> {

@@ -6,6 +6,7 @@
 //! scene.json                      photos, cameras, scale, floor, which stages were run and how
 //! frames/NAME/colour.png          a photo as a network saw it
 //! frames/NAME/geometry.safetensors    depth and confidence
+//! frames/NAME/gaussians.safetensors   a Gaussian for each pixel, if a network gave them
 //! frames/NAME/validity.safetensors    which points passed the cleaning
 //! frames/NAME/masks.safetensors       the frame's own masks
 //! frames/NAME/instances.safetensors   the scene's instances
@@ -26,6 +27,7 @@ mod cloud;
 pub mod files;
 mod folder;
 mod frame;
+mod gaussians;
 mod instances;
 mod manifest;
 #[cfg(test)]
@@ -34,6 +36,7 @@ pub(crate) mod test_frames;
 pub use cloud::{Cloud, Source};
 pub use folder::{Role, Scene, WriteLock};
 pub use frame::{Frame, surface_points};
+pub use gaussians::Gaussians;
 pub use instances::InstanceRecord;
 pub(crate) use manifest::VERSION;
 pub use manifest::{FrameRecord, Hasher, Manifest, Scale, Stage, StageRecord};

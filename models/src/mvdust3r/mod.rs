@@ -25,5 +25,5 @@ pub use memory::Memory;
 pub use network::{MvDust3r, Options, Paths, ViewOutput};
 pub use observer::{Observer, Unobserved};
 pub use patch_embed::{PatchEmbed, PatchGrid};
-pub use points_head::{PointsHead, RawPoints, Statistics, postprocess};
+pub use points_head::{PointsHead, RawPoints, SkipOptions, Statistics, postprocess};
 pub use work::Work;

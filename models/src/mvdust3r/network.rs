@@ -4,10 +4,11 @@ use candle_core::{Result, Tensor, bail};
 use std::collections::BTreeMap;
 
 use super::{
-    Config, Decoder, Encoder, GaussianHead, Gaussians, Observer, PatchGrid, PointsHead, Statistics,
-    Work, postprocess,
+    Config, Decoder, Encoder, GaussianHead, Gaussians, Observer, PatchGrid, PointsHead,
+    SkipOptions, Statistics, Work, postprocess,
 };
 use crate::Weights;
+use crate::nn::Precision;
 
 /// MV-DUSt3R or MV-DUSt3R+.
 #[derive(Debug)]
@@ -39,8 +40,8 @@ pub struct Options {
     pub paths: Paths,
     /// Whether the Gaussian heads run.
     pub gaussians: bool,
-    /// Statistics of the skip branch's batch norms. [`Statistics::Batch`] wants [`Paths::All`].
-    pub statistics: Statistics,
+    /// How the skip branch is computed. [`Statistics::Batch`] wants [`Paths::All`].
+    pub skip: SkipOptions,
     /// Tokens that encoder and decoder work on at a time; fewer need less memory.
     pub rows: usize,
 }
@@ -50,7 +51,10 @@ impl Default for Options {
         Self {
             paths: Paths::First,
             gaussians: false,
-            statistics: Statistics::Running,
+            skip: SkipOptions {
+                statistics: Statistics::Running,
+                precision: Precision::Fast,
+            },
             rows: 4096,
         }
     }
@@ -132,7 +136,7 @@ impl MvDust3r {
         if options.gaussians && self.gaussian_heads.is_none() {
             bail!("these weights have no Gaussian heads");
         }
-        if options.statistics == Statistics::Batch && options.paths != Paths::All {
+        if options.skip.statistics == Statistics::Batch && options.paths != Paths::All {
             bail!("statistics of the batch are over all paths, so all paths must be wanted");
         }
         let grid = PatchGrid::new(height, width, self.config.patch_size)?;
@@ -181,7 +185,7 @@ impl MvDust3r {
                 .collect();
             // Batch norm makes items of a batch depend on each other only with their own statistics;
             // else one item at a time keeps memory low.
-            let at_once = match options.statistics {
+            let at_once = match options.skip.statistics {
                 Statistics::Running => 1,
                 Statistics::Batch => items.len(),
             };
@@ -217,8 +221,7 @@ impl MvDust3r {
         observer: &mut dyn Observer,
     ) -> Result<Vec<ViewOutput>> {
         let kind = usize::from(slot > 0);
-        let raw =
-            self.points_heads[kind].forward(tokens, images, grid, options.statistics, observer)?;
+        let raw = self.points_heads[kind].forward(tokens, images, grid, options.skip, observer)?;
         let gaussians = match &self.gaussian_heads {
             Some(heads) if options.gaussians => Some(heads[kind].forward(tokens, grid)?),
             _ => None,
@@ -394,7 +397,10 @@ mod tests {
         let message = refused(&grey, Options::default());
         assert!(message.contains("3 colours"), "{message}");
         let options = Options {
-            statistics: Statistics::Batch,
+            skip: SkipOptions {
+                statistics: Statistics::Batch,
+                ..SkipOptions::default()
+            },
             ..Options::default()
         };
         assert!(refused(&images(3, 1), options).contains("all paths"));

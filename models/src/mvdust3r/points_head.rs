@@ -1,12 +1,13 @@
 //! The head that gives every pixel a point and a confidence.
 
+use std::sync::OnceLock;
+
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 
 use super::{Config, ExpMode, Observer, PatchGrid};
 use crate::Weights;
-use crate::nn::{Activation, BatchNorm2d, Conv2d, Linear};
-use std::sync::OnceLock;
+use crate::nn::{Activation, BatchNorm2d, Conv2d, Linear, Precision};
 
 /// Tokens to raw points and confidences, to which a convolutional branch, the *skip branch*, adds
 /// what it sees in the image itself.
@@ -25,6 +26,16 @@ pub enum Statistics {
     /// Those of their own input: all items of the batch. The original's demo does this, because it
     /// leaves the network in training mode.
     Batch,
+}
+
+/// How the skip branch is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SkipOptions {
+    /// Statistics of the batch norms.
+    pub statistics: Statistics,
+    /// Precision of the convolutions. They are most of the network's work, and an error in them
+    /// reaches raw points multiplied with 1e-4: [`Precision::Fast`] is below the noise of f32 there.
+    pub precision: Precision,
 }
 
 /// Raw outputs of a [`PointsHead`].
@@ -79,7 +90,7 @@ impl PointsHead {
         tokens: &Tensor,
         images: &Tensor,
         grid: PatchGrid,
-        statistics: Statistics,
+        skip: SkipOptions,
         observer: &mut dyn Observer,
     ) -> Result<RawPoints> {
         let projected = grid.assemble(&self.project(tokens)?, Self::CHANNELS)?;
@@ -92,7 +103,7 @@ impl PointsHead {
         };
         let xyz = projected.narrow(3, 0, 3)?;
         let input = Tensor::cat(&[&images.permute((0, 2, 3, 1))?, &xyz], 3)?;
-        let skip = branch.forward(&input, statistics, observer)?;
+        let skip = branch.forward(&input, skip, observer)?;
         let moved = (xyz + (&skip * Self::SKIP_SCALE)?)?;
         Ok(RawPoints {
             raw: Tensor::cat(&[&moved, &projected.narrow(3, 3, 1)?], 3)?,
@@ -106,8 +117,8 @@ impl PointsHead {
 #[derive(Debug)]
 struct SkipBranch {
     stages: Vec<(Conv2d, BatchNorm2d)>,
-    /// Each stage as one convolution; made when first needed.
-    folded: OnceLock<Vec<Conv2d>>,
+    /// Each stage as one convolution, exact and fast; made when first needed.
+    folded: [OnceLock<Vec<Conv2d>>; 2],
 }
 
 impl SkipBranch {
@@ -129,7 +140,7 @@ impl SkipBranch {
         };
         Ok(Self {
             stages: (0..).zip(sizes).map(stage).collect::<Result<_>>()?,
-            folded: OnceLock::new(),
+            folded: Default::default(),
         })
     }
 
@@ -137,7 +148,7 @@ impl SkipBranch {
     fn forward(
         &self,
         input: &Tensor,
-        statistics: Statistics,
+        options: SkipOptions,
         observer: &mut dyn Observer,
     ) -> Result<Tensor> {
         let last = self.stages.len() - 1;
@@ -147,8 +158,11 @@ impl SkipBranch {
         };
         let mut x = input.clone();
         for (i, (conv, norm)) in self.stages.iter().enumerate() {
-            x = match statistics {
-                Statistics::Running => self.folded()?[i].forward(&x, activation(i))?,
+            x = match options.statistics {
+                Statistics::Running => {
+                    let folded = &self.folded(options.precision)?[i];
+                    folded.forward(&x, activation(i))?
+                }
                 Statistics::Batch => {
                     let convolved = conv.forward(&x, Activation::Identity)?;
                     activation(i).apply(&norm.forward_with_batch_statistics(&convolved)?)?
@@ -159,13 +173,15 @@ impl SkipBranch {
         Ok(x)
     }
 
-    fn folded(&self) -> Result<&[Conv2d]> {
-        if let Some(folded) = self.folded.get() {
-            return Ok(folded);
+    fn folded(&self, precision: Precision) -> Result<&[Conv2d]> {
+        let folded = &self.folded[usize::from(precision == Precision::Fast)];
+        if let Some(stages) = folded.get() {
+            return Ok(stages);
         }
-        let folded = self.stages.iter().map(|(conv, norm)| conv.folded(norm));
-        let folded = folded.collect::<Result<_>>()?;
-        Ok(self.folded.get_or_init(|| folded))
+        let fold =
+            |(conv, norm): &(Conv2d, BatchNorm2d)| Ok(conv.folded(norm)?.with_precision(precision));
+        let stages = self.stages.iter().map(fold).collect::<Result<_>>()?;
+        Ok(folded.get_or_init(|| stages))
     }
 }
 

@@ -2,12 +2,10 @@
 
 use super::{
     ImportOptions,
-    listing::{
-        DEPTH_ENDINGS, DepthSource, Entry, Listing, PHOTO_ENDINGS, Picture, Pictures, PoseSource,
-    },
+    listing::{DEPTH_ENDINGS, DepthSource, Entry, Listing, Picture, Pictures, PoseSource},
     poses::{self, Rows},
 };
-use crate::{Error, Result};
+use crate::{Error, Result, photos::PHOTO_ENDINGS};
 use std::{
     collections::BTreeMap,
     fs,

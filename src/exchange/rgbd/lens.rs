@@ -66,7 +66,10 @@ impl Lens {
     }
 
     /// The intrinsics, if this is the lens of an image of `size`; flipped axes are turned round.
-    pub(super) fn on_image(&self, size: [u32; 2]) -> Result<Intrinsics, String> {
+    ///
+    /// # Errors
+    /// What is wrong, when no such image has this lens.
+    pub fn on_image(&self, size: [u32; 2]) -> Result<Intrinsics, String> {
         if [self.fx, self.fy, self.cx, self.cy]
             .iter()
             .any(|x| !x.is_finite())

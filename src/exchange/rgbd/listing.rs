@@ -1,5 +1,5 @@
 use super::{lens::Lens, poses::Rows};
-use crate::{Error, Result};
+use crate::{Error, Result, photos::natural_key};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -105,8 +105,6 @@ pub(super) fn names(folder: &Path) -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// Endings of photos, in lower case.
-pub(super) const PHOTO_ENDINGS: [&str; 5] = ["png", "jpg", "jpeg", "ppm", "pgm"];
 /// Endings of depth pictures, in lower case.
 pub(super) const DEPTH_ENDINGS: [&str; 2] = ["png", "pgm"];
 
@@ -186,30 +184,6 @@ impl Pictures {
     }
 }
 
-#[derive(PartialEq, Eq, PartialOrd, Ord)]
-enum Chunk {
-    /// A run of digits without its leading zeros, the shorter being the smaller.
-    Number(usize, String),
-    Text(String),
-}
-
-/// A key that sorts runs of digits by their value.
-fn natural_key(name: &str) -> Vec<Chunk> {
-    name.as_bytes()
-        .chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
-        .map(|run| {
-            // Cutting at ASCII digits cuts between characters.
-            let text = String::from_utf8_lossy(run);
-            if run[0].is_ascii_digit() {
-                let digits = text.trim_start_matches('0');
-                Chunk::Number(digits.len(), digits.to_string())
-            } else {
-                Chunk::Text(text.into_owned())
-            }
-        })
-        .collect()
-}
-
 fn last_number(stem: &str) -> Option<u64> {
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let before = stem[..end].trim_end_matches(|c: char| c.is_ascii_digit());
@@ -222,6 +196,7 @@ fn last_number(stem: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::photos::PHOTO_ENDINGS;
 
     fn pictures(names: &[&str]) -> (Vec<(u64, String)>, bool) {
         let folder = tempfile::tempdir().unwrap();

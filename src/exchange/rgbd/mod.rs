@@ -30,7 +30,11 @@ pub use lens::Lens;
 pub use options::{ImportOptions, IntrinsicsImage, LayoutChoice};
 
 use crate::{
-    Error, Map, Result, photos::Photo, progress::Progress, reconstruct::Reconstructor, scene::Frame,
+    Error, Map, Result,
+    photos::Photo,
+    progress::Progress,
+    reconstruct::{Reconstruction, Reconstructor},
+    scene::Frame,
 };
 use listing::DepthSource;
 use rayon::prelude::*;
@@ -125,13 +129,13 @@ impl Reconstructor for Recording {
     ///
     /// The confidence is 1 everywhere: a depth camera gives none. An input without any known depth
     /// is refused, a held-out photo may be so.
-    fn reconstruct(&self, photos: &[Photo], progress: &dyn Progress) -> Result<Vec<Frame>> {
+    fn reconstruct(&self, photos: &[Photo], progress: &dyn Progress) -> Result<Reconstruction> {
         let views: Vec<&View> = photos
             .iter()
             .map(|photo| self.view(photo))
             .collect::<Result<_>>()?;
         progress.begin("reading RGB-D frames", views.len());
-        let frames = archived_depths(&views).and_then(|archived| {
+        let frames: Result<Vec<Frame>> = archived_depths(&views).and_then(|archived| {
             views
                 .par_iter()
                 .map(|view| {
@@ -143,7 +147,7 @@ impl Reconstructor for Recording {
                 .collect()
         });
         progress.end();
-        frames
+        Ok(frames?.into())
     }
 }
 

@@ -3,12 +3,12 @@
 
 use super::{
     ImportOptions, Lens,
-    listing::{DepthSource, Entry, Listing, PHOTO_ENDINGS, Pictures, PoseSource},
+    listing::{DepthSource, Entry, Listing, Pictures, PoseSource},
     npy::{Array, ArrayHeader},
     pictures::SIDE_LIMIT,
     poses::Rows,
 };
-use crate::{Error, Map, Result};
+use crate::{Error, Map, Result, photos::PHOTO_ENDINGS};
 use npyz::npz::NpzArchive;
 use std::{
     collections::{BTreeMap, BTreeSet},

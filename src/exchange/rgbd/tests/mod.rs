@@ -41,7 +41,7 @@ fn open(folder: &TempDir) -> Result<Recording> {
 
 fn frames(folder: &TempDir, options: &ImportOptions) -> Result<Vec<Frame>> {
     let recording = Recording::open(folder.path(), options)?;
-    recording.reconstruct(&recording.inputs, &Silent)
+    Ok(recording.reconstruct(&recording.inputs, &Silent)?.frames)
 }
 
 /// What opening or reading the recording says.
@@ -87,7 +87,10 @@ fn seven_scenes_frames_lie_on_the_walls() {
         names(&recording.inputs),
         ["frame-000007", "frame-8", "frame-100"]
     );
-    let frames = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+    let frames = recording
+        .reconstruct(&recording.inputs, &Silent)
+        .unwrap()
+        .frames;
     assert_on_walls(&frames, 1e-3, 1.0);
 }
 
@@ -99,7 +102,10 @@ fn npz_frames_lie_on_the_walls_in_either_order() {
         let recording = open(&folder).unwrap();
         assert_eq!(recording.layout, Layout::Npz);
         assert_eq!(names(&recording.inputs), ["9", "10", "11"]);
-        let frames = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+        let frames = recording
+            .reconstruct(&recording.inputs, &Silent)
+            .unwrap()
+            .frames;
         assert_on_walls(&frames, 1e-5, 1.0);
     }
 }
@@ -110,7 +116,10 @@ fn color_depth_frames_lie_on_the_walls() {
     let recording = Recording::open(folder.path(), &options).unwrap();
     assert_eq!(recording.layout, Layout::ColorDepth);
     assert_eq!(names(&recording.inputs), ["1", "2", "10"]);
-    let frames = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+    let frames = recording
+        .reconstruct(&recording.inputs, &Silent)
+        .unwrap()
+        .frames;
     assert_on_walls(&frames, 3e-4, 1.0);
 }
 
@@ -130,7 +139,7 @@ fn photos_come_back_in_the_order_asked_for() {
         &recording.inputs,
     ]
     .concat();
-    let frames = recording.reconstruct(&twice, &Silent).unwrap();
+    let frames = recording.reconstruct(&twice, &Silent).unwrap().frames;
     let back: Vec<&str> = frames.iter().map(|frame| &*frame.photo.name).collect();
     assert_eq!(back, ["11", "9", "10", "11", "9"]);
     assert_on_walls(&frames, 1e-5, 1.0);
@@ -165,7 +174,10 @@ fn intrinsics_go_to_the_image_whose_centre_they_name() {
         recording.warnings
     );
     assert_eq!(recording.warnings.len(), 1);
-    let of_depth = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+    let of_depth = recording
+        .reconstruct(&recording.inputs, &Silent)
+        .unwrap()
+        .frames;
     assert_on_walls(&of_depth, 1e-3, 5.0);
 
     let Intrinsics { fx, fy, cx, cy, .. } = room.photo_intrinsics;
@@ -179,7 +191,10 @@ fn intrinsics_go_to_the_image_whose_centre_they_name() {
         "{:?}",
         recording.warnings
     );
-    let of_photo = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+    let of_photo = recording
+        .reconstruct(&recording.inputs, &Silent)
+        .unwrap()
+        .frames;
     assert_on_walls(&of_photo, 1e-3, 5.0);
     assert!((of_photo[0].camera.intrinsics.cx - of_depth[0].camera.intrinsics.cx).abs() < 1e-9);
 
@@ -261,7 +276,10 @@ fn a_flipped_y_axis_mirrors_the_world_consistently() {
         "{:?}",
         recording.warnings
     );
-    let frames = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+    let frames = recording
+        .reconstruct(&recording.inputs, &Silent)
+        .unwrap()
+        .frames;
     assert_on_walls(&frames, 1e-3, 1.0);
     for (frame, pose) in frames.iter().zip(true_poses) {
         let off = frame.camera.cam_to_world.to_homogeneous() - pose.to_homogeneous();
@@ -298,7 +316,10 @@ fn mirrored_poses_are_refused_without_and_turned_with_a_flipped_axis() {
     };
     let recording = Recording::open(folder.path(), &options).unwrap();
     assert_eq!(recording.warnings, [""; 0]);
-    let frames = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+    let frames = recording
+        .reconstruct(&recording.inputs, &Silent)
+        .unwrap()
+        .frames;
     assert_on_walls(&frames, 1e-3, 1.0);
 }
 
@@ -318,7 +339,10 @@ fn turned_photos_are_used_as_the_sensor_stored_them() {
             "{:?}",
             recording.warnings
         );
-        let frames = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+        let frames = recording
+            .reconstruct(&recording.inputs, &Silent)
+            .unwrap()
+            .frames;
         assert_eq!(frames[1].transform.photo_size, [32, 24]);
         assert_on_walls(&frames, 1e-3, 1.0);
     }
@@ -333,7 +357,10 @@ fn photos_that_only_fit_upright_are_turned() {
     write_turned_png(&folder.path().join("frame-8.color.png"), &stored, 6);
     let recording = open(&folder).unwrap();
     assert_eq!(recording.warnings, [""; 0]);
-    let frames = recording.reconstruct(&recording.inputs, &Silent).unwrap();
+    let frames = recording
+        .reconstruct(&recording.inputs, &Silent)
+        .unwrap()
+        .frames;
     assert_on_walls(&frames, 1e-3, 1.0);
 }
 
@@ -377,7 +404,10 @@ fn frames_without_depth_or_pose_are_left_out_unless_asked_for() {
         ..ImportOptions::default()
     };
     let recording = Recording::open(folder.path(), &options).unwrap();
-    let frames = recording.reconstruct(&recording.held_out, &Silent).unwrap();
+    let frames = recording
+        .reconstruct(&recording.held_out, &Silent)
+        .unwrap()
+        .frames;
     assert!(frames[0].depth.values().iter().all(|d| *d == 0.0));
     assert_eq!(
         frames[0].camera.intrinsics,

@@ -1,0 +1,207 @@
+//! Convolutions.
+
+mod batch_norm;
+#[cfg(test)]
+mod tests;
+
+use std::sync::{Arc, OnceLock};
+
+use candle_core::{Device, Result, Storage, Tensor, bail};
+
+use super::Activation;
+use super::cpu::Isa;
+use super::cpu::conv::{Convolution, Epilogue, Filter, Images};
+use crate::{Parameter, Weights};
+
+pub use batch_norm::BatchNorm2d;
+
+/// How exact a convolution on a CPU is.
+///
+/// Errors are relative, in the L2 norm of all outputs, against sums in f64.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// As exact as sums of f32 are: 2e-6.
+    #[default]
+    Exact,
+    /// Fewer multiplications: 2e-5.
+    Fast,
+}
+
+/// A 2D convolution with an odd square kernel, stride 1 and zeros around the image, so that sizes
+/// stay. Images are (batch, height, width, channels): channels last.
+///
+/// On a CPU, weights are laid out for the kernel that suits them when [`Self::forward`] is first
+/// called, and shared by clones. Beside the weights as they were read, that takes as much memory as
+/// they do, or, where Winograd's algorithm is used (3x3 and 5x5 kernels, at least 32 channels),
+/// times 16/9 (exact) or 4 (fast) for 3x3, times 36/25 or 64/25 for 5x5.
+#[derive(Clone)]
+pub struct Conv2d {
+    /// (outputs, inputs, kernel, kernel).
+    weight: Parameter,
+    /// (outputs).
+    bias: Parameter,
+    precision: Precision,
+    prepared: Arc<OnceLock<std::result::Result<Convolution, String>>>,
+}
+
+impl std::fmt::Debug for Conv2d {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Conv2d")
+            .field("weight", &self.weight)
+            .field("bias", &self.bias)
+            .field("precision", &self.precision)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Conv2d {
+    /// Reads `weight` (outputs, inputs, kernel, kernel) and `bias` (outputs).
+    ///
+    /// # Errors
+    ///
+    /// If `kernel` is even, there are no inputs or outputs, or `weights` lacks a tensor or has it in
+    /// another shape.
+    pub fn new(inputs: usize, outputs: usize, kernel: usize, weights: &Weights) -> Result<Self> {
+        if kernel.is_multiple_of(2) {
+            bail!("a kernel of odd size is wanted, got {kernel}");
+        }
+        if inputs == 0 || outputs == 0 {
+            bail!("a convolution of {inputs} to {outputs} channels is none");
+        }
+        let weight = weights.get([outputs, inputs, kernel, kernel], "weight")?;
+        let bias = weights.get([outputs], "bias")?;
+        Ok(Self::from_parts(weight, bias, Precision::default()))
+    }
+
+    fn from_parts(weight: Parameter, bias: Parameter, precision: Precision) -> Self {
+        Self {
+            weight,
+            bias,
+            precision,
+            prepared: Arc::default(),
+        }
+    }
+
+    /// The same convolution, computed with this precision.
+    #[must_use]
+    pub fn with_precision(self, precision: Precision) -> Self {
+        if precision == self.precision {
+            return self;
+        }
+        Self::from_parts(self.weight, self.bias, precision)
+    }
+
+    /// This convolution followed by `norm` with its running statistics, as one convolution.
+    ///
+    /// # Errors
+    ///
+    /// If `norm` has another number of channels than this has outputs.
+    pub fn folded(&self, norm: &BatchNorm2d) -> Result<Self> {
+        let scale = (norm.weight.tensor()? / (norm.running_var.tensor()? + norm.eps)?.sqrt()?)?;
+        let bias = ((self.bias.tensor()? - norm.running_mean.tensor()?)? * &scale)?;
+        let weight = self.weight.tensor()?;
+        let scale = scale.reshape(((), 1, 1, 1))?;
+        Ok(Self::from_parts(
+            Parameter::from_tensor(&weight.broadcast_mul(&scale)?)?,
+            Parameter::from_tensor(&(bias + norm.bias.tensor()?)?)?,
+            self.precision,
+        ))
+    }
+
+    /// `activation(conv(x))`; `x` is (batch, height, width, inputs), the result (batch, height,
+    /// width, outputs).
+    ///
+    /// # Errors
+    ///
+    /// If `x` has another shape.
+    pub fn forward(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+        self.run(x, activation, None)
+    }
+
+    /// `residual + conv(x)`; `residual` has the shape of the result.
+    ///
+    /// # Errors
+    ///
+    /// If `x` or `residual` has another shape.
+    pub fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+        self.run(x, Activation::Identity, Some(residual))
+    }
+
+    fn run(&self, x: &Tensor, activation: Activation, residual: Option<&Tensor>) -> Result<Tensor> {
+        let (batch, height, width, channels) = x.dims4()?;
+        let &[outputs, inputs, kernel, _] = self.weight.shape() else {
+            bail!("weights of a convolution have four dimensions");
+        };
+        if channels != inputs {
+            bail!("{inputs} channels are wanted, got {:?}", x.shape());
+        }
+        let shape = (batch, height, width, outputs);
+        if let Some(residual) = residual
+            && residual.dims4()? != shape
+        {
+            bail!("{:?} cannot be added to {shape:?}", residual.shape());
+        }
+        let (Some(weight), Some(bias)) = (self.weight.host(), self.bias.host()) else {
+            let y = activation.apply(&self.plain(x)?)?;
+            return residual.map_or(Ok(y.clone()), |residual| residual + &y);
+        };
+        let filter = Filter {
+            values: weight,
+            outputs,
+            inputs,
+            kernel,
+        };
+        let images = Images {
+            batch,
+            height,
+            width,
+        };
+        let prepared = self.prepared.get_or_init(|| {
+            Isa::current()
+                .and_then(|isa| Convolution::new(isa, filter, self.precision == Precision::Fast))
+                .map_err(|error| error.to_string())
+        });
+        let convolution = (prepared.as_ref()).map_err(|e| candle_core::Error::Msg(e.clone()))?;
+        let mut out = vec![0.0; images.pixels() * outputs];
+        with_values(x, |x| {
+            let mut finish = |residual: Option<&[f32]>| {
+                let epilogue = Epilogue {
+                    bias,
+                    activation,
+                    residual,
+                };
+                convolution.run(images, x, epilogue, &mut out)
+            };
+            match residual {
+                None => finish(None),
+                Some(residual) => with_values(residual, |residual| finish(Some(residual))),
+            }
+        })?;
+        Tensor::from_vec(out, shape, &Device::Cpu)
+    }
+
+    /// The convolution by candle's own operations.
+    fn plain(&self, x: &Tensor) -> Result<Tensor> {
+        let padding = self.weight.shape()[2] / 2;
+        x.permute((0, 3, 1, 2))?
+            .contiguous()?
+            .conv2d(&self.weight.tensor()?, padding, 1, 1, 1)?
+            .permute((0, 2, 3, 1))?
+            .broadcast_add(&self.bias.tensor()?)?
+            .contiguous()
+    }
+}
+
+/// Calls `with` on the numbers of `x`, row-major.
+fn with_values<T>(x: &Tensor, with: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
+    let x = x.contiguous()?;
+    let (storage, layout) = x.storage_and_layout();
+    let Storage::Cpu(storage) = &*storage else {
+        bail!("a convolution with weights on the CPU got a tensor on another device");
+    };
+    let values = storage.as_slice::<f32>()?;
+    match layout.contiguous_offsets() {
+        Some((start, end)) => with(&values[start..end]),
+        None => bail!("a contiguous tensor is not contiguous"),
+    }
+}

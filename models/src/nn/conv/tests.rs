@@ -1,0 +1,104 @@
+use candle_core::Device;
+
+use super::*;
+
+fn conv(inputs: usize, outputs: usize, kernel: usize) -> Conv2d {
+    let make = |name: &str, shape: &[usize]| {
+        let value = |i: usize| ((i * 7919 + name.len()) % 23) as f32 / 23.0 - 0.4;
+        (0..shape.iter().product()).map(value).collect()
+    };
+    Conv2d::new(
+        inputs,
+        outputs,
+        kernel,
+        &Weights::from_fn(make, &Device::Cpu),
+    )
+    .unwrap()
+}
+
+fn image(shape: (usize, usize, usize, usize)) -> Tensor {
+    let value = |i: usize| ((i * 104_729) % 31) as f32 / 31.0 - 0.5;
+    let count = shape.0 * shape.1 * shape.2 * shape.3;
+    Tensor::from_vec((0..count).map(value).collect(), shape, &Device::Cpu).unwrap()
+}
+
+/// The relative L2 error.
+fn error(got: &Tensor, want: &Tensor) -> f32 {
+    let norm = |x: &Tensor| -> f32 {
+        let x = x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        x.iter().map(|x| x * x).sum::<f32>().sqrt()
+    };
+    norm(&(got - want).unwrap()) / norm(want)
+}
+
+#[test]
+fn like_candle() {
+    for (inputs, outputs, kernel) in [(6, 40, 3), (40, 33, 5), (34, 3, 3), (5, 7, 1)] {
+        let conv = conv(inputs, outputs, kernel);
+        let x = image((2, 9, 6, inputs));
+        let plain = conv.plain(&x).unwrap();
+        let fast = conv.clone().with_precision(Precision::Fast);
+        for (conv, tolerance) in [(&conv, 2e-6), (&fast, 2e-5)] {
+            for activation in [Activation::Identity, Activation::Selu] {
+                let got = conv.forward(&x, activation).unwrap();
+                let error = error(&got, &activation.apply(&plain).unwrap());
+                assert!(error < tolerance, "{conv:?}: {error}");
+            }
+            let residual = image((2, 9, 6, outputs));
+            let got = conv.forward_add(&x, &residual).unwrap();
+            let error = error(&got, &(residual + &plain).unwrap());
+            assert!(error < tolerance, "{conv:?}: {error}");
+        }
+    }
+}
+
+#[test]
+fn strided_images_are_read() {
+    let conv = conv(4, 5, 3);
+    let x = image((2, 7, 6, 8)).narrow(3, 2, 4).unwrap();
+    let got = conv.forward(&x, Activation::Identity).unwrap();
+    assert!(error(&got, &conv.plain(&x).unwrap()) < 2e-6);
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let weights = Weights::from_fn(|_, s| vec![0.0; s.iter().product()], &Device::Cpu);
+    assert!(Conv2d::new(3, 4, 2, &weights).is_err());
+    assert!(Conv2d::new(0, 4, 3, &weights).is_err());
+    assert!(Conv2d::new(4, 0, 3, &weights).is_err());
+    let conv = conv(4, 5, 3);
+    let x = image((1, 3, 3, 4));
+    let forward = |x: &Tensor| conv.forward(x, Activation::Identity);
+    assert!(forward(&image((1, 3, 3, 5))).is_err());
+    assert!(forward(&x.squeeze(0).unwrap()).is_err());
+    assert!(forward(&x.to_dtype(candle_core::DType::F64).unwrap()).is_err());
+    assert!(conv.forward_add(&x, &x).is_err());
+    let empty =
+        forward(&Tensor::zeros((0, 3, 3, 4), candle_core::DType::F32, &Device::Cpu).unwrap());
+    assert_eq!(empty.unwrap().dims(), [0, 3, 3, 5]);
+}
+
+#[test]
+fn a_folded_norm_is_the_norm() {
+    let conv = conv(3, 4, 3);
+    let make = |name: &str, _: &[usize]| match name {
+        "running_var" => vec![0.5, 2.0, 1.0, 4.0],
+        _ => vec![0.1, -0.2, 1.5, name.len() as f32],
+    };
+    let norm = BatchNorm2d::new(4, 1e-5, &Weights::from_fn(make, &Device::Cpu)).unwrap();
+    let x = image((1, 5, 4, 3));
+    let got = conv
+        .folded(&norm)
+        .unwrap()
+        .forward(&x, Activation::Identity)
+        .unwrap();
+    let y = conv.plain(&x).unwrap();
+    let channel = |p: &Parameter| p.tensor().unwrap();
+    let want = y
+        .broadcast_sub(&channel(&norm.running_mean))
+        .and_then(|y| y.broadcast_div(&(channel(&norm.running_var) + 1e-5)?.sqrt()?))
+        .and_then(|y| y.broadcast_mul(&channel(&norm.weight)))
+        .and_then(|y| y.broadcast_add(&channel(&norm.bias)))
+        .unwrap();
+    assert!(error(&got, &want) < 2e-6);
+}

@@ -1,0 +1,102 @@
+//! Convolutions in f32 on a CPU: odd square kernels, stride 1, zeros around the image, channels last.
+//!
+//! Three ways lead to the same result, and [`Convolution::new`] chooses by kernel and channels:
+//!
+//! - [`winograd`]: fewer multiplications, for 3x3 and 5x5 kernels with many channels;
+//! - [`gathered`]: the definition as one product of matrices, without an image of all windows;
+//! - [`shifted`]: the same for few outputs, the product first and the sum over the window after.
+
+mod epilogue;
+mod gathered;
+mod shifted;
+#[cfg(test)]
+mod tests;
+mod winograd;
+
+pub(in crate::nn) use epilogue::Epilogue;
+use gathered::Gathered;
+use shifted::Shifted;
+use winograd::{Scheme, Winograd};
+
+use candle_core::Result;
+
+use super::isa::Isa;
+
+/// The weights of a convolution, (outputs, inputs, kernel, kernel) row-major.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::nn) struct Filter<'a> {
+    pub(in crate::nn) values: &'a [f32],
+    pub(in crate::nn) outputs: usize,
+    pub(in crate::nn) inputs: usize,
+    /// Odd.
+    pub(in crate::nn) kernel: usize,
+}
+
+impl Filter<'_> {
+    /// The weights of one output and one input, row-major.
+    fn window(&self, output: usize, input: usize) -> &[f32] {
+        let size = self.kernel * self.kernel;
+        &self.values[(output * self.inputs + input) * size..][..size]
+    }
+}
+
+/// Sizes of a batch of images.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::nn) struct Images {
+    pub(in crate::nn) batch: usize,
+    pub(in crate::nn) height: usize,
+    pub(in crate::nn) width: usize,
+}
+
+impl Images {
+    pub(in crate::nn) fn pixels(self) -> usize {
+        self.batch * self.height * self.width
+    }
+}
+
+/// A convolution with its weights laid out for one way of computing it.
+pub(in crate::nn) enum Convolution {
+    Winograd(Winograd),
+    Gathered(Gathered),
+    Shifted(Shifted),
+}
+
+impl Convolution {
+    /// Lays out `filter`; `fast` allows the larger errors of the larger tiles.
+    pub(in crate::nn) fn new(isa: Isa, filter: Filter<'_>, fast: bool) -> Result<Self> {
+        // Below, what is saved goes into transforms.
+        const CHANNELS_FOR_WINOGRAD: usize = 32;
+        let scheme = match (filter.kernel, fast) {
+            (3, false) => Some(Scheme::F23),
+            (3, true) => Some(Scheme::F43),
+            (5, false) => Some(Scheme::F25),
+            (5, true) => Some(Scheme::F45),
+            _ => None,
+        };
+        let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;
+        match scheme {
+            Some(scheme) if many => Winograd::new(isa, filter, scheme).map(Self::Winograd),
+            _ if Shifted::pays(isa, filter) => Shifted::new(isa, filter).map(Self::Shifted),
+            _ => Gathered::new(isa, filter).map(Self::Gathered),
+        }
+    }
+
+    /// The convolution of `x`, which has `images.pixels()` times the inputs, finished by `epilogue`,
+    /// into `out`, which has as many times the outputs.
+    pub(in crate::nn) fn run(
+        &self,
+        images: Images,
+        x: &[f32],
+        epilogue: Epilogue<'_>,
+        out: &mut [f32],
+    ) -> Result<()> {
+        if out.is_empty() {
+            return Ok(());
+        }
+        match self {
+            Self::Winograd(way) => way.run(images, x, epilogue, out),
+            Self::Gathered(way) => way.run(images, x, epilogue, out),
+            Self::Shifted(way) => way.run(images, x, epilogue, out),
+        }
+    }
+}

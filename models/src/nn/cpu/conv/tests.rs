@@ -1,0 +1,283 @@
+//! All ways of computing a convolution, on all instruction sets, against sums in f64.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::nn::Activation;
+
+/// What [`Convolution::new`] chooses among.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    Gathered,
+    Shifted,
+    Winograd(Scheme),
+}
+
+impl Way {
+    fn prepare(self, isa: Isa, filter: Filter<'_>) -> Convolution {
+        match self {
+            Self::Gathered => Gathered::new(isa, filter).map(Convolution::Gathered),
+            Self::Shifted => Shifted::new(isa, filter).map(Convolution::Shifted),
+            Self::Winograd(s) => Winograd::new(isa, filter, s).map(Convolution::Winograd),
+        }
+        .unwrap()
+    }
+
+    /// All ways of a kernel.
+    fn of_kernel(kernel: usize) -> Vec<Self> {
+        let schemes = [Scheme::F23, Scheme::F43, Scheme::F25, Scheme::F45].into_iter();
+        let fitting = schemes.filter(|scheme| scheme.taps == kernel);
+        [Self::Gathered, Self::Shifted]
+            .into_iter()
+            .chain(fitting.map(Self::Winograd))
+            .collect()
+    }
+
+    /// The relative L2 error on well-scaled numbers that no test may exceed.
+    fn tolerance(self) -> f64 {
+        match self {
+            Self::Gathered | Self::Shifted => 1e-6,
+            Self::Winograd(Scheme::F23) => 1e-6,
+            Self::Winograd(Scheme::F43 | Scheme::F25) => 3e-6,
+            Self::Winograd(_) => 2e-5,
+        }
+    }
+}
+
+/// A layer and what goes into it.
+#[derive(Clone, Debug)]
+struct Layer {
+    images: Images,
+    inputs: usize,
+    outputs: usize,
+    kernel: usize,
+    x: Vec<f32>,
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+/// Numbers of mean 0 and variance 1 that look random: the sum of twelve evenly distributed ones, less
+/// 6 (Irwin-Hall).
+fn numbers(seed: u64, count: usize) -> Vec<f32> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut uniform = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 40) as f32 / (1 << 24) as f32
+    };
+    (0..count)
+        .map(|_| (0..12).map(|_| uniform()).sum::<f32>() - 6.0)
+        .collect()
+}
+
+impl Layer {
+    fn random(seed: u64, images: Images, inputs: usize, outputs: usize, kernel: usize) -> Self {
+        Self {
+            images,
+            inputs,
+            outputs,
+            kernel,
+            x: numbers(seed, images.pixels() * inputs),
+            weight: numbers(seed + 1, outputs * inputs * kernel * kernel),
+            bias: numbers(seed + 2, outputs),
+        }
+    }
+
+    fn filter(&self) -> Filter<'_> {
+        Filter {
+            values: &self.weight,
+            outputs: self.outputs,
+            inputs: self.inputs,
+            kernel: self.kernel,
+        }
+    }
+
+    fn run(&self, way: Way, isa: Isa) -> Vec<f32> {
+        let epilogue = Epilogue {
+            bias: &self.bias,
+            activation: Activation::Identity,
+            residual: None,
+        };
+        self.run_with(way, isa, epilogue)
+    }
+
+    fn run_with(&self, way: Way, isa: Isa, epilogue: Epilogue<'_>) -> Vec<f32> {
+        let mut out = vec![f32::NAN; self.images.pixels() * self.outputs];
+        let convolution = way.prepare(isa, self.filter());
+        (convolution.run(self.images, &self.x, epilogue, &mut out)).unwrap();
+        out
+    }
+
+    /// By the definition, in f64.
+    fn want(&self) -> Vec<f64> {
+        let Images { height, width, .. } = self.images;
+        let mut want = Vec::new();
+        for pixel in 0..self.images.pixels() {
+            let (row, column) = (pixel / width, pixel % width);
+            let (image, row) = (row / height, row % height);
+            let mut sums: Vec<f64> = self.bias.iter().map(|&b| b.into()).collect();
+            for i in 0..self.kernel {
+                for j in 0..self.kernel {
+                    let y = (row + i).wrapping_sub(self.kernel / 2);
+                    let x = (column + j).wrapping_sub(self.kernel / 2);
+                    if y >= height || x >= width {
+                        continue;
+                    }
+                    let from = ((image * height + y) * width + x) * self.inputs;
+                    for (o, sum) in sums.iter_mut().enumerate() {
+                        for c in 0..self.inputs {
+                            let at = ((o * self.inputs + c) * self.kernel + i) * self.kernel + j;
+                            *sum += f64::from(self.x[from + c]) * f64::from(self.weight[at]);
+                        }
+                    }
+                }
+            }
+            want.extend(sums);
+        }
+        want
+    }
+}
+
+/// The L2 norm of the difference over that of `want`.
+fn error(got: &[f32], want: &[f64]) -> f64 {
+    assert_eq!(got.len(), want.len());
+    let squares = got
+        .iter()
+        .zip(want)
+        .map(|(&g, w)| (f64::from(g) - w).powi(2));
+    let size: f64 = want.iter().map(|w| w * w).sum();
+    (squares.sum::<f64>() / size).sqrt()
+}
+
+fn images(batch: usize, height: usize, width: usize) -> Images {
+    Images {
+        batch,
+        height,
+        width,
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn all_ways_are_the_definition(
+        seed in 0_u64..1000,
+        size in (1_usize..3, 1_usize..14, 1_usize..14),
+        inputs in prop::sample::select(vec![1, 3, 6, 16, 17, 40]),
+        outputs in prop::sample::select(vec![1, 3, 6, 16, 17, 40]),
+        kernel in prop::sample::select(vec![1, 3, 5, 7]),
+    ) {
+        let layer = Layer::random(seed, images(size.0, size.1, size.2), inputs, outputs, kernel);
+        let want = layer.want();
+        for way in Way::of_kernel(kernel) {
+            for isa in Isa::available() {
+                let error = error(&layer.run(way, isa), &want);
+                prop_assert!(error < way.tolerance(), "{way:?} on {isa}: {error}");
+            }
+        }
+    }
+}
+
+/// Layers as networks have them, where errors grow with the channels.
+#[test]
+fn errors_with_many_channels() {
+    for (kernel, size) in [(3, 14), (5, 10)] {
+        let layer = Layer::random(7, images(1, size, size), 256, 64, kernel);
+        let want = layer.want();
+        for way in Way::of_kernel(kernel) {
+            for isa in Isa::available() {
+                let error = error(&layer.run(way, isa), &want);
+                println!("{way:?} on {isa}: {error:.2e}");
+                assert!(error < way.tolerance(), "{way:?} on {isa}: {error}");
+            }
+        }
+    }
+}
+
+/// Channels whose sizes differ by ten orders of magnitude, with weights to match, on top of a large
+/// mean: no way may lose more digits than it does on well-scaled numbers.
+#[test]
+fn errors_of_ill_scaled_data() {
+    for kernel in [3, 5] {
+        let mut layer = Layer::random(11, images(1, 13, 11), 48, 33, kernel);
+        let size = |channel: usize| 10_f32.powi((channel % 11) as i32 - 5);
+        for (i, x) in layer.x.iter_mut().enumerate() {
+            *x = (*x + 3.0) * size(i % 48);
+        }
+        for (i, w) in layer.weight.iter_mut().enumerate() {
+            *w /= size(i / (kernel * kernel) % 48);
+        }
+        let want = layer.want();
+        for way in Way::of_kernel(kernel) {
+            for isa in Isa::available() {
+                let error = error(&layer.run(way, isa), &want);
+                println!("{way:?} on {isa}: {error:.2e}");
+                assert!(error < 2.0 * way.tolerance(), "{way:?} on {isa}: {error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn activation_and_residual_come_last() {
+    for kernel in [3, 5] {
+        let layer = Layer::random(13, images(2, 9, 7), 20, 18, kernel);
+        let residual = numbers(17, layer.images.pixels() * layer.outputs);
+        let epilogue = Epilogue {
+            bias: &layer.bias,
+            activation: Activation::Selu,
+            residual: Some(&residual),
+        };
+        let selu = |x: f64| match x > 0.0 {
+            true => Activation::SELU_SCALE * x,
+            false => Activation::SELU_SCALE * Activation::SELU_ALPHA * x.exp_m1(),
+        };
+        let added = |(y, &r): (f64, &f32)| selu(y) + f64::from(r);
+        let want: Vec<f64> = layer.want().into_iter().zip(&residual).map(added).collect();
+        for way in Way::of_kernel(kernel) {
+            for isa in Isa::available() {
+                let error = error(&layer.run_with(way, isa, epilogue), &want);
+                assert!(error < way.tolerance(), "{way:?} on {isa}: {error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let layer = Layer::random(19, images(1, 45, 50), 35, 34, 5);
+    for way in Way::of_kernel(5) {
+        let with = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            let pool = pool.build().unwrap();
+            pool.install(|| layer.run(way, Isa::available()[0]))
+        };
+        assert_eq!(with(1), with(3), "{way:?}");
+    }
+}
+
+#[test]
+fn the_way_suits_the_layer() {
+    let isa = Isa::available()[0];
+    let way = |inputs, outputs, kernel: usize, fast| {
+        let filter = Filter {
+            values: &vec![0.0; inputs * outputs * kernel * kernel],
+            outputs,
+            inputs,
+            kernel,
+        };
+        match Convolution::new(isa, filter, fast).unwrap() {
+            Convolution::Winograd(_) => "winograd",
+            Convolution::Gathered(_) => "gathered",
+            Convolution::Shifted(_) => "shifted",
+        }
+    };
+    assert_eq!(way(6, 256, 3, true), "gathered");
+    assert_eq!(way(64, 64, 3, false), "winograd");
+    assert_eq!(way(64, 64, 5, true), "winograd");
+    assert_eq!(way(256, 3, 3, true), "shifted");
+    assert_eq!(way(64, 64, 1, true), "gathered");
+    assert_eq!(way(64, 64, 7, true), "gathered");
+}

@@ -1,0 +1,169 @@
+//! Matrices somewhere in memory.
+
+use std::ops::Range;
+
+use candle_core::{Result, bail};
+
+/// A matrix in row-major order, whose rows may be further apart than they are long.
+#[derive(Clone, Copy, Debug)]
+pub struct Matrix<'a> {
+    data: &'a [f32],
+    rows: usize,
+    columns: usize,
+    stride: usize,
+}
+
+/// As [`Matrix`], to be written.
+#[derive(Debug)]
+pub struct MatrixMut<'a> {
+    data: &'a mut [f32],
+    rows: usize,
+    columns: usize,
+    stride: usize,
+}
+
+/// The second factor of a product.
+#[derive(Clone, Copy, Debug)]
+pub enum Factor<'a> {
+    /// (depth, columns).
+    Plain(Matrix<'a>),
+    /// (columns, depth): the transpose is multiplied by. Weights of linear maps are like this.
+    Transposed(Matrix<'a>),
+}
+
+/// Whether `rows` rows of `columns` numbers, `stride` apart, lie within `len` numbers.
+fn check(len: usize, rows: usize, columns: usize, stride: usize) -> Result<()> {
+    let wanted = match rows {
+        0 => Some(0),
+        _ => (rows - 1)
+            .checked_mul(stride)
+            .and_then(|n| n.checked_add(columns)),
+    };
+    if stride < columns || wanted.is_none_or(|wanted| wanted > len) {
+        bail!("{rows} rows of {columns}, {stride} apart, do not fit into {len} numbers");
+    }
+    Ok(())
+}
+
+impl<'a> Matrix<'a> {
+    /// A matrix whose element `(i, j)` is `data[i * stride + j]`.
+    ///
+    /// # Errors
+    ///
+    /// If `stride` is less than `columns` or `data` too short.
+    pub fn new(data: &'a [f32], rows: usize, columns: usize, stride: usize) -> Result<Self> {
+        check(data.len(), rows, columns, stride)?;
+        Ok(Self {
+            data,
+            rows,
+            columns,
+            stride,
+        })
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Distance of rows.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Element `(row, 0)`. It and the following ones can be read if the matrix has that row.
+    pub(super) fn row_pointer(&self, row: usize) -> *const f32 {
+        self.data.as_ptr().wrapping_add(row * self.stride)
+    }
+
+    /// The elements `(row, start)` to `(row, start + count - 1)`.
+    ///
+    /// # Panics
+    ///
+    /// If they are not inside.
+    pub(super) fn part_of_row(&self, row: usize, start: usize, count: usize) -> &'a [f32] {
+        &self.data[row * self.stride..][..self.columns][start..start + count]
+    }
+
+    /// These rows and columns, which are inside.
+    pub(super) fn part(&self, rows: Range<usize>, columns: Range<usize>) -> Self {
+        let offset = (rows.start * self.stride + columns.start).min(self.data.len());
+        Self {
+            data: &self.data[offset..],
+            rows: rows.len(),
+            columns: columns.len(),
+            stride: self.stride,
+        }
+    }
+
+    /// `count` rows from `start` on, as far as there are any.
+    pub(super) fn rows_from(&self, start: usize, count: usize) -> Self {
+        let start = start.min(self.rows);
+        let offset = (start * self.stride).min(self.data.len());
+        Self {
+            data: &self.data[offset..],
+            rows: count.min(self.rows - start),
+            ..*self
+        }
+    }
+}
+
+impl<'a> MatrixMut<'a> {
+    /// As [`Matrix::new`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Matrix::new`].
+    pub fn new(data: &'a mut [f32], rows: usize, columns: usize, stride: usize) -> Result<Self> {
+        check(data.len(), rows, columns, stride)?;
+        Ok(Self {
+            data,
+            rows,
+            columns,
+            stride,
+        })
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Distance of rows.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// Element `(0, 0)`.
+    pub(super) fn into_pointer(self) -> *mut f32 {
+        self.data.as_mut_ptr()
+    }
+}
+
+impl Factor<'_> {
+    /// Rows of the factor as multiplied by.
+    pub fn depth(&self) -> usize {
+        match self {
+            Self::Plain(matrix) => matrix.rows(),
+            Self::Transposed(matrix) => matrix.columns(),
+        }
+    }
+
+    /// Columns of the factor as multiplied by.
+    pub fn columns(&self) -> usize {
+        match self {
+            Self::Plain(matrix) => matrix.columns(),
+            Self::Transposed(matrix) => matrix.rows(),
+        }
+    }
+}

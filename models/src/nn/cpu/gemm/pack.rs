@@ -1,0 +1,184 @@
+//! Copies of matrices in the order in which tiles read them.
+
+use candle_core::Result;
+
+use super::block::Panels;
+use super::{Factor, Matrix};
+use crate::nn::cpu::Isa;
+use crate::nn::cpu::isa::Task;
+use crate::nn::cpu::scratch::Scratch;
+use crate::nn::cpu::simd::{MAX_LANES, Simd};
+
+/// The second factor of products, packed once for many of them.
+pub struct PackedFactor {
+    isa: Isa,
+    data: Scratch,
+    depth: usize,
+    columns: usize,
+}
+
+impl PackedFactor {
+    /// Packs `factor` for the instruction set in use.
+    ///
+    /// # Errors
+    ///
+    /// If the environment asks for an instruction set that this CPU lacks.
+    pub fn pack(factor: Factor<'_>) -> Result<Self> {
+        Ok(Self::pack_for(Isa::current()?, factor))
+    }
+
+    pub(in crate::nn::cpu) fn pack_for(isa: Isa, factor: Factor<'_>) -> Self {
+        let (depth, columns) = (factor.depth(), factor.columns());
+        let (_, nr) = isa.tile();
+        let mut data = Scratch::take(columns.next_multiple_of(nr) * depth);
+        pack_factor(isa, factor, 0..columns, 0..depth, &mut data);
+        Self {
+            isa,
+            data,
+            depth,
+            columns,
+        }
+    }
+
+    /// Rows of the factor.
+    pub fn depth(&self) -> usize {
+        self.depth
+    }
+
+    /// Columns of the factor.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    pub(super) fn isa(&self) -> Isa {
+        self.isa
+    }
+
+    pub(super) fn panels(&self) -> Panels<'_> {
+        Panels::new(&self.data, self.isa.tile().1, self.depth)
+    }
+}
+
+/// Packs the part of `factor` in these columns and this depth into panels of the tile's columns.
+///
+/// # Panics
+///
+/// If `to` is too short or the part not inside.
+pub(super) fn pack_factor(
+    isa: Isa,
+    factor: Factor<'_>,
+    columns: std::ops::Range<usize>,
+    depth: std::ops::Range<usize>,
+    to: &mut [f32],
+) {
+    let (_, nr) = isa.tile();
+    assert!(columns.end <= factor.columns() && depth.end <= factor.depth());
+    assert!(to.len() >= columns.len().next_multiple_of(nr) * depth.len());
+    match factor {
+        Factor::Transposed(matrix) => isa.run(Rows {
+            from: matrix.row_pointer(columns.start).wrapping_add(depth.start),
+            stride: matrix.stride(),
+            rows: columns.len(),
+            depth: depth.len(),
+            width: nr,
+            to,
+        }),
+        Factor::Plain(matrix) => {
+            let panels = to.chunks_exact_mut(nr * depth.len().max(1));
+            for (panel, start) in panels.zip(columns.clone().step_by(nr)) {
+                let count = nr.min(columns.end - start);
+                for (p, line) in depth.clone().zip(panel.chunks_exact_mut(nr)) {
+                    line[..count].copy_from_slice(matrix.part_of_row(p, start, count));
+                    line[count..].fill(0.0);
+                }
+            }
+        }
+    }
+}
+
+/// Packs `matrix` into panels of `width` rows: column after column of each.
+///
+/// # Panics
+///
+/// If `to` is too short.
+pub(super) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f32]) {
+    isa.run(Rows {
+        from: matrix.row_pointer(0),
+        stride: matrix.stride(),
+        rows: matrix.rows(),
+        depth: matrix.columns(),
+        width,
+        to,
+    });
+}
+
+/// Rows of numbers, which can be read, to be packed.
+struct Rows<'a> {
+    from: *const f32,
+    stride: usize,
+    rows: usize,
+    depth: usize,
+    width: usize,
+    to: &'a mut [f32],
+}
+
+impl Task for Rows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let (from, stride) = (self.from, self.stride);
+        let row = |i: usize| from.wrapping_add(i * stride);
+        // SAFETY: whoever makes `Rows` sees to it that they can be read.
+        unsafe { pack_lines(simd, row, self.rows, self.depth, self.width, self.to) };
+    }
+}
+
+/// Packs `rows` rows of `depth` numbers, which are where `row` says, into panels of `width` rows:
+/// column after column of each. Missing rows of the last panel are zeros.
+///
+/// # Panics
+///
+/// If `to` is too short.
+///
+/// # Safety
+///
+/// `depth` numbers can be read at each row.
+#[inline(always)]
+pub(in crate::nn::cpu) unsafe fn pack_lines<S: Simd>(
+    simd: S,
+    row: impl Fn(usize) -> *const f32,
+    rows: usize,
+    depth: usize,
+    width: usize,
+    to: &mut [f32],
+) {
+    assert!(to.len() >= rows.next_multiple_of(width) * depth);
+    for first in (0..rows).step_by(width) {
+        let panel = &mut to[first * depth..][..width * depth];
+        for across in (0..width).step_by(S::LANES) {
+            let lanes = S::LANES.min(width - across);
+            let some = (rows - first).saturating_sub(across).min(lanes);
+            for start in (0..depth).step_by(S::LANES) {
+                let count = S::LANES.min(depth - start);
+                let mut block = [simd.splat(0.0); MAX_LANES];
+                for (i, line) in block.iter_mut().enumerate().take(some) {
+                    // SAFETY: the caller lets `depth` numbers be read at the row.
+                    let from = unsafe { row(first + across + i).add(start) };
+                    // SAFETY: as above.
+                    *line = unsafe { simd.load_up_to(from, count) };
+                }
+                simd.transpose(&mut block);
+                for (p, &line) in block.iter().enumerate().take(count) {
+                    let at = (start + p) * width + across;
+                    // A whole vector may reach into lines of the panel that are written later, when
+                    // no other part of those lines is written before.
+                    let whole = lanes == S::LANES || across == 0 && at + S::LANES <= panel.len();
+                    let lanes = if whole { S::LANES } else { lanes };
+                    // SAFETY: that many numbers are inside of the panel.
+                    unsafe { simd.store_up_to(panel.as_mut_ptr().add(at), lanes, line) };
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! Products on all threads.
+
+use candle_core::{Result, bail};
+use rayon::prelude::*;
+
+use super::block::{Block, Panels};
+use super::pack::{pack_factor, pack_rows};
+use super::{DEPTH, Epilogue, Factor, Matrix, MatrixMut};
+use crate::nn::cpu::Isa;
+use crate::nn::cpu::scratch::Scratch;
+use crate::nn::cpu::shared::Shared;
+
+/// Numbers of `A` that are packed at a time: 32 MiB.
+const PACKED: usize = 8 << 20;
+
+/// Panels of `B` that a task packs together: as many as the second cache holds beside one of `A`.
+const GROUP: usize = 4;
+
+/// Rows that a task has at least, so that packing `B` costs little against using it.
+const ROWS: usize = 192;
+
+/// `C = activation(A B + bias) + residual` on all threads of the current pool.
+///
+/// `A` is (rows, depth), `B` (depth, columns), `C` (rows, columns).
+///
+/// # Errors
+///
+/// If the shapes do not fit each other, or the environment asks for an instruction set that this CPU
+/// lacks.
+pub fn gemm(a: Matrix<'_>, b: Factor<'_>, c: MatrixMut<'_>, epilogue: &Epilogue<'_>) -> Result<()> {
+    let (rows, columns, stride) = (c.rows(), c.columns(), c.stride());
+    if (a.rows(), b.columns()) != (rows, columns) {
+        bail!(
+            "a product of {} x {} does not go into {rows} x {columns}",
+            a.rows(),
+            b.columns()
+        );
+    }
+    // SAFETY: `C` has these rows and columns and is borrowed for this function.
+    unsafe { gemm_into(Isa::current()?, a, b, c.into_pointer(), stride, epilogue) }
+}
+
+/// [`gemm`] into memory that may be uninitialised, unless `epilogue` accumulates.
+///
+/// # Errors
+///
+/// If the shapes do not fit each other. Nothing is written then, otherwise every element.
+///
+/// # Safety
+///
+/// `c` can be written (and, to accumulate, read) at as many rows as `a` has, `stride` apart, and as
+/// many columns as `b` has; nobody else does.
+pub(in crate::nn::cpu) unsafe fn gemm_into(
+    isa: Isa,
+    a: Matrix<'_>,
+    b: Factor<'_>,
+    c: *mut f32,
+    stride: usize,
+    epilogue: &Epilogue<'_>,
+) -> Result<()> {
+    let (rows, columns, depth) = (a.rows(), b.columns(), a.columns());
+    if b.depth() != depth {
+        bail!("{rows} x {depth} times {} x {columns}", b.depth());
+    }
+    epilogue.check(rows, columns)?;
+    let (mr, _) = isa.tile();
+    let most = (PACKED / depth.max(1)).max(ROWS).next_multiple_of(mr);
+    let mut packed = Scratch::take(most.min(rows.next_multiple_of(mr)) * depth);
+    for start in (0..rows).step_by(most) {
+        let count = most.min(rows - start);
+        let part = a.rows_from(start, count);
+        if depth > 0 {
+            (packed.par_chunks_mut(mr * depth).enumerate())
+                .take(count.div_ceil(mr))
+                .with_min_len((1 << 15) / (mr * depth) + 1)
+                .for_each(|(i, panel)| pack_rows(isa, part.rows_from(i * mr, mr), mr, panel));
+        }
+        let product = Product {
+            isa,
+            a: Panels::new(&packed, mr, depth),
+            b,
+            // SAFETY: row `start` is one of `C`.
+            c: Shared(unsafe { c.add(start * stride) }),
+            stride,
+            rows: count,
+            epilogue: Epilogue {
+                residual: epilogue.residual.map(|r| r.rows_from(start, count)),
+                ..*epilogue
+            },
+        };
+        product.run();
+    }
+    Ok(())
+}
+
+/// A product with the first factor packed.
+struct Product<'a> {
+    isa: Isa,
+    a: Panels<'a>,
+    b: Factor<'a>,
+    c: Shared<f32>,
+    stride: usize,
+    rows: usize,
+    epilogue: Epilogue<'a>,
+}
+
+impl Product<'_> {
+    /// Shares the product among threads: tasks are parts of the columns and, where those are few, of
+    /// the rows. A thread that is done takes another, so that one that is interrupted delays nobody.
+    fn run(&self) {
+        let (mr, nr) = self.isa.tile();
+        let panels = self.b.columns().div_ceil(nr);
+        let threads = rayon::current_num_threads();
+        let wanted = if threads == 1 { 1 } else { 6 * threads };
+        let mut group = GROUP;
+        while group > 1 && panels.div_ceil(group) < wanted {
+            group /= 2;
+        }
+        let across = panels.div_ceil(group);
+        let down = wanted.div_ceil(across.max(1)).min(self.rows / ROWS).max(1);
+        let rows = self.rows.div_ceil(down).next_multiple_of(mr);
+        let down = self.rows.div_ceil(rows);
+        (0..across * down)
+            .into_par_iter()
+            .with_max_len(1)
+            .for_each(|task| {
+                let (i, j) = (task / across * rows, task % across * group * nr);
+                self.part(
+                    i..(i + rows).min(self.rows),
+                    j..(j + group * nr).min(self.b.columns()),
+                );
+            });
+    }
+
+    fn part(&self, rows: std::ops::Range<usize>, columns: std::ops::Range<usize>) {
+        let (mr, nr) = self.isa.tile();
+        let depth = self.b.depth();
+        let mut packed = Scratch::take(columns.len().next_multiple_of(nr) * DEPTH.min(depth));
+        for from in (0..depth.max(1)).step_by(DEPTH) {
+            let to = (from + DEPTH).min(depth);
+            pack_factor(self.isa, self.b, columns.clone(), from..to, &mut packed);
+            let residual = self.epilogue.residual;
+            let block = Block {
+                depth: to - from,
+                rows: rows.len(),
+                columns: columns.len(),
+                a: self.a.skip(rows.start / mr).at_depth(from),
+                b: Panels::new(&packed, nr, to - from),
+                c: self.c.add(rows.start * self.stride + columns.start),
+                stride: self.stride,
+                bias: self.epilogue.bias.map(|bias| &bias[columns.clone()]),
+                activation: self.epilogue.activation,
+                residual: residual.map(|r| r.part(rows.clone(), columns.clone())),
+                first: from == 0 && !self.epilogue.accumulate,
+                last: to == depth,
+            };
+            // SAFETY: the panels hold these rows and columns to that depth. No other task has the
+            // same rows and columns of `C`.
+            unsafe { block.run(self.isa) };
+        }
+    }
+}

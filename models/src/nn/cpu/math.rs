@@ -1,0 +1,100 @@
+//! Functions of vectors.
+
+use super::simd::Simd;
+use crate::nn::Activation;
+
+/// `c[0] + c[1] x + c[2] x^2 + ..`
+#[inline(always)]
+fn polynomial<S: Simd, const N: usize>(simd: S, x: S::V, c: &[f32; N]) -> S::V {
+    let mut sum = simd.splat(c[N - 1]);
+    for &c in c[..N - 1].iter().rev() {
+        sum = simd.fma(sum, x, simd.splat(c));
+    }
+    sum
+}
+
+/// `exp(x)` with a relative error below 3e-7; infinite above 88.8, zero below -104.
+#[inline(always)]
+pub(super) fn exp<S: Simd>(simd: S, x: S::V) -> S::V {
+    // exp(x) = 2^n exp(r), |r| <= ln(2) / 2. The polynomial is the minimax one for the relative
+    // error, which is 2e-9 before rounding.
+    const EXP: [f32; 7] = [
+        1.0,
+        1.0,
+        0.499_999_9,
+        0.166_664_19,
+        0.041_668_232,
+        0.008_374_898,
+        0.001_383_673_8,
+    ];
+    // ln(2) in two parts: n times the first is exact.
+    const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
+    let x = simd.max(simd.splat(-110.0), simd.min(simd.splat(90.0), x));
+    let n = simd.round(simd.mul(x, simd.splat(std::f32::consts::LOG2_E)));
+    let r = simd.fnma(n, simd.splat(LN_2[0]), x);
+    let r = simd.fnma(n, simd.splat(LN_2[1]), r);
+    simd.scale(polynomial(simd, r, &EXP), n)
+}
+
+/// `2^y` with a relative error below 2e-7 for `y` within -125 to 127; `2^-125` below that.
+#[inline(always)]
+pub(super) fn exp2<S: Simd>(simd: S, y: S::V) -> S::V {
+    // 2^y = 2^n 2^f, |f| <= 1/2. The minimax polynomial for the relative error, 2e-9.
+    const EXP2: [f32; 7] = [
+        1.0,
+        std::f32::consts::LN_2,
+        0.240_226_47,
+        0.055_503_285,
+        0.009_618_49,
+        0.001_340_006_3,
+        0.000_153_456_93,
+    ];
+    let y = simd.max(simd.splat(-125.0), y);
+    let n = simd.round(y);
+    simd.scale(polynomial(simd, simd.sub(y, n), &EXP2), n)
+}
+
+/// `x Phi(x)`, Phi being the normal distribution function; the error is below 2e-8 and a unit in
+/// the last place of the result.
+#[inline(always)]
+pub(super) fn gelu<S: Simd>(simd: S, x: S::V) -> S::V {
+    // With the upper tail Q(a) = 1 - Phi(a), x Phi(x) = max(x, 0) - |x| Q(|x|) for either sign. No
+    // digits cancel in that, and log2 Q is smooth: this is its polynomial on 0 to 8 for which the
+    // greatest error of |x| Q(|x|) is least (2e-9). Beyond 8, Q is below 1e-15.
+    const LOG2_Q: [f32; 10] = [
+        -0.999_999_7,
+        -1.151_11,
+        -0.459_187_48,
+        -0.052_527_79,
+        0.007_069_701_3,
+        -0.000_105_240_564,
+        -0.000_222_228_93,
+        5.624_026_7e-5,
+        -6.530_435e-6,
+        3.106_818_3e-7,
+    ];
+    let size = simd.abs(x);
+    let tail = exp2(
+        simd,
+        polynomial(simd, simd.min(simd.splat(8.0), size), &LOG2_Q),
+    );
+    simd.fnma(size, tail, simd.max(simd.splat(0.0), x))
+}
+
+/// `activation(x)`.
+#[inline(always)]
+pub(super) fn activate<S: Simd>(simd: S, activation: Activation, x: S::V) -> S::V {
+    match activation {
+        Activation::Identity => x,
+        Activation::Gelu => gelu(simd, x),
+        Activation::Relu => simd.max(simd.splat(0.0), x),
+        Activation::Selu => {
+            let scale = Activation::SELU_SCALE as f32;
+            let below = (Activation::SELU_SCALE * Activation::SELU_ALPHA) as f32;
+            // Below 0, e^x - 1 loses digits against x, but none against SELU's range.
+            let negative = simd.mul(simd.splat(below), simd.sub(exp(simd, x), simd.splat(1.0)));
+            let positive = simd.mul(simd.splat(scale), x);
+            simd.if_less(x, simd.splat(0.0), negative, positive)
+        }
+    }
+}

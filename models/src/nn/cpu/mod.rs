@@ -1,0 +1,41 @@
+//! Fast kernels for f32 on CPUs, which the layers beside this module call.
+//!
+//! Each kernel is written once, against the vectors of [`simd`], and compiled for every instruction
+//! set; [`Isa::current`] says at run time which one is used. The environment variable `TID3R_CPU`
+//! (`avx512`, `avx2` or `portable`) overrides it.
+//!
+//! A result depends on the instruction set, but not on the number of threads.
+//!
+//! All unsafe code of this crate, apart from the mapping of weights, is in this module: vector
+//! instructions, reads and writes through pointers in inner loops, and threads that write disjoint
+//! parts of one array. What is callable from outside checks sizes first.
+#![expect(
+    unsafe_code,
+    reason = "vector instructions, inner loops without bounds checks, and shared output arrays"
+)]
+
+mod attention;
+pub(in crate::nn) mod conv;
+mod elementwise;
+mod gemm;
+mod host;
+mod isa;
+mod layer_norm;
+mod linear;
+mod math;
+mod peak;
+mod rope;
+mod scratch;
+mod shared;
+mod simd;
+
+pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
+pub use isa::Isa;
+pub use peak::measured_peak_flops;
+
+pub(super) use attention::attention;
+pub(super) use elementwise::activation;
+pub(super) use host::HostTensor;
+pub(super) use layer_norm::layer_norm;
+pub(super) use linear::linear;
+pub(super) use rope::rotate;

@@ -1,0 +1,41 @@
+//! Arrays that threads write together.
+
+/// A pointer that may be given to other threads.
+///
+/// Whoever writes through it sees to it that no two threads touch the same elements.
+#[derive(Clone, Copy)]
+pub(super) struct Shared<T>(pub(super) *mut T);
+
+// SAFETY: it is only a number; using it is unsafe, and the promise above is made there.
+unsafe impl<T: Send> Send for Shared<T> {}
+// SAFETY: as above.
+unsafe impl<T: Send> Sync for Shared<T> {}
+
+impl<T> Shared<T> {
+    /// The element `offset` further on.
+    pub(super) fn add(&self, offset: usize) -> *mut T {
+        self.0.wrapping_add(offset)
+    }
+}
+
+/// A new array of `len` numbers, all of which `fill` writes through the pointer that it gets.
+///
+/// Unlike an array of zeros, its memory is touched first by the threads that write it.
+///
+/// # Errors
+///
+/// Those of `fill`.
+///
+/// # Safety
+///
+/// `fill` writes every element unless it fails, and nothing beyond.
+pub(super) unsafe fn filled<E>(
+    len: usize,
+    fill: impl FnOnce(*mut f32) -> Result<(), E>,
+) -> Result<Vec<f32>, E> {
+    let mut values = Vec::with_capacity(len);
+    fill(values.as_mut_ptr())?;
+    // SAFETY: `fill` wrote them, as the caller promises.
+    unsafe { values.set_len(len) };
+    Ok(values)
+}

@@ -1,0 +1,186 @@
+//! AVX2 with FMA: 16 registers of 8 numbers.
+
+use core::arch::x86_64::*;
+
+use super::{MAX_LANES, Simd, tile};
+
+/// Proof that the CPU has AVX2 and FMA.
+#[derive(Clone, Copy)]
+pub(in crate::nn::cpu) struct Avx2(());
+
+impl Avx2 {
+    /// # Safety
+    ///
+    /// The CPU has AVX2 and FMA.
+    #[inline(always)]
+    pub(in crate::nn::cpu) unsafe fn assume() -> Self {
+        Self(())
+    }
+}
+
+/// A mask of the first `count` lanes.
+#[inline(always)]
+fn first(count: usize) -> __m256i {
+    const MASKS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
+    let start = 8 - count.min(8);
+    // SAFETY: 8 of 16 numbers, from an index of at most 8.
+    unsafe { _mm256_loadu_si256(MASKS.as_ptr().add(start).cast()) }
+}
+
+// SAFETY of all blocks below: `self` is proof of the instructions; what pointers must be is said at
+// the trait's functions.
+impl Simd for Avx2 {
+    type V = __m256;
+
+    const LANES: usize = 8;
+    const MR: usize = 6;
+    const NR: usize = 16;
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> __m256 {
+        unsafe { _mm256_set1_ps(x) }
+    }
+
+    #[inline(always)]
+    fn add(self, a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_add_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn sub(self, a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_sub_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn mul(self, a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_mul_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn fma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
+        unsafe { _mm256_fmadd_ps(a, b, c) }
+    }
+
+    #[inline(always)]
+    fn fnma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
+        unsafe { _mm256_fnmadd_ps(a, b, c) }
+    }
+
+    #[inline(always)]
+    fn max(self, a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_max_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn min(self, a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_min_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn abs(self, a: __m256) -> __m256 {
+        unsafe { _mm256_andnot_ps(_mm256_set1_ps(-0.0), a) }
+    }
+
+    #[inline(always)]
+    fn round(self, a: __m256) -> __m256 {
+        unsafe { _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(a) }
+    }
+
+    #[inline(always)]
+    fn scale(self, a: __m256, n: __m256) -> __m256 {
+        // In two steps, since 2^n itself may be no normal number where the result is one.
+        unsafe {
+            let n = _mm256_cvtps_epi32(n);
+            let half = _mm256_srai_epi32::<1>(n);
+            let bias = _mm256_set1_epi32(127);
+            let power = |n| _mm256_castsi256_ps(_mm256_slli_epi32::<23>(_mm256_add_epi32(n, bias)));
+            let scaled = _mm256_mul_ps(a, power(half));
+            _mm256_mul_ps(scaled, power(_mm256_sub_epi32(n, half)))
+        }
+    }
+
+    #[inline(always)]
+    fn if_less(self, a: __m256, b: __m256, then: __m256, otherwise: __m256) -> __m256 {
+        unsafe { _mm256_blendv_ps(otherwise, then, _mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) }
+    }
+
+    #[inline(always)]
+    fn sum(self, a: __m256) -> f32 {
+        unsafe {
+            let four = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
+            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+        }
+    }
+
+    #[inline(always)]
+    fn greatest(self, a: __m256) -> f32 {
+        unsafe {
+            let four = _mm_max_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
+            let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_max_ss(two, _mm_movehdup_ps(two)))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn load(self, from: *const f32) -> __m256 {
+        unsafe { _mm256_loadu_ps(from) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_part(self, from: *const f32, count: usize) -> __m256 {
+        unsafe { _mm256_maskload_ps(from, first(count)) }
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32, a: __m256) {
+        unsafe { _mm256_storeu_ps(to, a) }
+    }
+
+    #[inline(always)]
+    unsafe fn store_part(self, to: *mut f32, count: usize, a: __m256) {
+        unsafe { _mm256_maskstore_ps(to, first(count), a) }
+    }
+
+    #[inline(always)]
+    fn transpose(self, rows: &mut [__m256; MAX_LANES]) {
+        unsafe {
+            let mut t = *rows;
+            for r in [0, 4] {
+                let (ab, cd) = (
+                    _mm256_unpacklo_ps(rows[r], rows[r + 1]),
+                    _mm256_unpacklo_ps(rows[r + 2], rows[r + 3]),
+                );
+                let (ef, gh) = (
+                    _mm256_unpackhi_ps(rows[r], rows[r + 1]),
+                    _mm256_unpackhi_ps(rows[r + 2], rows[r + 3]),
+                );
+                t[r] = _mm256_shuffle_ps::<0x44>(ab, cd);
+                t[r + 1] = _mm256_shuffle_ps::<0xee>(ab, cd);
+                t[r + 2] = _mm256_shuffle_ps::<0x44>(ef, gh);
+                t[r + 3] = _mm256_shuffle_ps::<0xee>(ef, gh);
+            }
+            for c in 0..4 {
+                rows[c] = _mm256_permute2f128_ps::<0x20>(t[c], t[c + 4]);
+                rows[c + 4] = _mm256_permute2f128_ps::<0x31>(t[c], t[c + 4]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn tile(
+        self,
+        depth: usize,
+        columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile::<Self, 6, 1>(self, depth, a, b, out),
+                false => tile::<Self, 6, 2>(self, depth, a, b, out),
+            }
+        }
+    }
+}

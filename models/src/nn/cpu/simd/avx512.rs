@@ -1,0 +1,180 @@
+//! AVX-512: 32 registers of 16 numbers.
+
+use core::arch::x86_64::*;
+
+use super::{MAX_LANES, Simd, tile};
+
+/// Proof that the CPU has AVX-512 F and DQ.
+#[derive(Clone, Copy)]
+pub(in crate::nn::cpu) struct Avx512(());
+
+impl Avx512 {
+    /// # Safety
+    ///
+    /// The CPU has AVX-512 F and DQ.
+    #[inline(always)]
+    pub(in crate::nn::cpu) unsafe fn assume() -> Self {
+        Self(())
+    }
+}
+
+#[inline(always)]
+fn first(count: usize) -> __mmask16 {
+    ((1_u32 << count) - 1) as __mmask16
+}
+
+// SAFETY of all blocks below: `self` is proof of the instructions; what pointers must be is said at
+// the trait's functions.
+impl Simd for Avx512 {
+    type V = __m512;
+
+    const LANES: usize = 16;
+    const MR: usize = 14;
+    const NR: usize = 32;
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> __m512 {
+        unsafe { _mm512_set1_ps(x) }
+    }
+
+    #[inline(always)]
+    fn add(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_add_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn sub(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_sub_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn mul(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_mul_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn fma(self, a: __m512, b: __m512, c: __m512) -> __m512 {
+        unsafe { _mm512_fmadd_ps(a, b, c) }
+    }
+
+    #[inline(always)]
+    fn fnma(self, a: __m512, b: __m512, c: __m512) -> __m512 {
+        unsafe { _mm512_fnmadd_ps(a, b, c) }
+    }
+
+    #[inline(always)]
+    fn max(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_max_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn min(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_min_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn abs(self, a: __m512) -> __m512 {
+        unsafe { _mm512_abs_ps(a) }
+    }
+
+    #[inline(always)]
+    fn round(self, a: __m512) -> __m512 {
+        unsafe { _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(a) }
+    }
+
+    #[inline(always)]
+    fn scale(self, a: __m512, n: __m512) -> __m512 {
+        unsafe { _mm512_scalef_ps(a, n) }
+    }
+
+    #[inline(always)]
+    fn if_less(self, a: __m512, b: __m512, then: __m512, otherwise: __m512) -> __m512 {
+        unsafe { _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b), otherwise, then) }
+    }
+
+    #[inline(always)]
+    fn sum(self, a: __m512) -> f32 {
+        unsafe { _mm512_reduce_add_ps(a) }
+    }
+
+    #[inline(always)]
+    fn greatest(self, a: __m512) -> f32 {
+        unsafe { _mm512_reduce_max_ps(a) }
+    }
+
+    #[inline(always)]
+    unsafe fn load(self, from: *const f32) -> __m512 {
+        unsafe { _mm512_loadu_ps(from) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_part(self, from: *const f32, count: usize) -> __m512 {
+        unsafe { _mm512_maskz_loadu_ps(first(count), from) }
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32, a: __m512) {
+        unsafe { _mm512_storeu_ps(to, a) }
+    }
+
+    #[inline(always)]
+    unsafe fn store_part(self, to: *mut f32, count: usize, a: __m512) {
+        unsafe { _mm512_mask_storeu_ps(to, first(count), a) }
+    }
+
+    #[inline(always)]
+    fn transpose(self, rows: &mut [__m512; MAX_LANES]) {
+        // Within groups of four rows, 4x4 blocks are transposed in each quarter of the registers;
+        // then the quarters change places.
+        unsafe {
+            let mut t = *rows;
+            for g in 0..4 {
+                let r = 4 * g;
+                let (ab, cd) = (
+                    _mm512_unpacklo_ps(rows[r], rows[r + 1]),
+                    _mm512_unpacklo_ps(rows[r + 2], rows[r + 3]),
+                );
+                let (ef, gh) = (
+                    _mm512_unpackhi_ps(rows[r], rows[r + 1]),
+                    _mm512_unpackhi_ps(rows[r + 2], rows[r + 3]),
+                );
+                t[r] = _mm512_shuffle_ps::<0x44>(ab, cd);
+                t[r + 1] = _mm512_shuffle_ps::<0xee>(ab, cd);
+                t[r + 2] = _mm512_shuffle_ps::<0x44>(ef, gh);
+                t[r + 3] = _mm512_shuffle_ps::<0xee>(ef, gh);
+            }
+            for c in 0..4 {
+                // Of column `c`, `c + 4`, `c + 8` and `c + 12`: rows 0 to 3, 4 to 7 and so on.
+                let (low, high) = (
+                    _mm512_shuffle_f32x4::<0x44>(t[c], t[c + 4]),
+                    _mm512_shuffle_f32x4::<0xee>(t[c], t[c + 4]),
+                );
+                let (low2, high2) = (
+                    _mm512_shuffle_f32x4::<0x44>(t[c + 8], t[c + 12]),
+                    _mm512_shuffle_f32x4::<0xee>(t[c + 8], t[c + 12]),
+                );
+                rows[c] = _mm512_shuffle_f32x4::<0x88>(low, low2);
+                rows[c + 4] = _mm512_shuffle_f32x4::<0xdd>(low, low2);
+                rows[c + 8] = _mm512_shuffle_f32x4::<0x88>(high, high2);
+                rows[c + 12] = _mm512_shuffle_f32x4::<0xdd>(high, high2);
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn tile(
+        self,
+        depth: usize,
+        columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile::<Self, 14, 1>(self, depth, a, b, out),
+                false => tile::<Self, 14, 2>(self, depth, a, b, out),
+            }
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! Vectors of f32, so that each kernel is written once for all instruction sets.
+//!
+//! Values of the implementing types are proofs that the CPU has the instructions. That is what makes
+//! arithmetic safe to call; only what takes a pointer is not.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod portable;
+
+#[cfg(target_arch = "x86_64")]
+pub(super) use avx2::Avx2;
+#[cfg(target_arch = "x86_64")]
+pub(super) use avx512::Avx512;
+pub(super) use portable::Portable;
+
+/// The most lanes that a vector has.
+pub(super) const MAX_LANES: usize = 16;
+
+/// The most elements that a tile has: [`Simd::MR`] times [`Simd::NR`].
+pub(super) const MAX_TILE: usize = 14 * 32;
+
+/// One instruction set's vectors.
+pub(super) trait Simd: Copy {
+    /// [`Self::LANES`] numbers.
+    type V: Copy;
+
+    /// Numbers in a vector, at most [`MAX_LANES`].
+    const LANES: usize;
+    /// Rows of the tile that [`Self::tile`] sums in registers.
+    const MR: usize;
+    /// Columns of that tile, a multiple of [`Self::LANES`].
+    const NR: usize;
+
+    fn splat(self, x: f32) -> Self::V;
+    fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a b + c`, rounded once where the instructions can.
+    fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// `c - a b`, rounded once where the instructions can.
+    fn fnma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// The greater one; `b` if either is NaN.
+    fn max(self, a: Self::V, b: Self::V) -> Self::V;
+    /// The smaller one; `b` if either is NaN.
+    fn min(self, a: Self::V, b: Self::V) -> Self::V;
+    fn abs(self, a: Self::V) -> Self::V;
+    /// To the nearest integer, halves to the even one.
+    fn round(self, a: Self::V) -> Self::V;
+    /// `a` times 2 to the power of the integer `n`; `n` within -252 to 254.
+    fn scale(self, a: Self::V, n: Self::V) -> Self::V;
+    /// `then` where `a < b`, `otherwise` elsewhere.
+    fn if_less(self, a: Self::V, b: Self::V, then: Self::V, otherwise: Self::V) -> Self::V;
+    /// The sum of all lanes, in an order that is always the same.
+    fn sum(self, a: Self::V) -> f32;
+    /// The greatest of all lanes.
+    fn greatest(self, a: Self::V) -> f32;
+
+    /// # Safety
+    ///
+    /// [`Self::LANES`] numbers can be read at `from`.
+    unsafe fn load(self, from: *const f32) -> Self::V;
+    /// The first `count` (at most [`Self::LANES`]) lanes from memory, zeros in the others.
+    ///
+    /// # Safety
+    ///
+    /// `count` numbers can be read at `from`.
+    unsafe fn load_part(self, from: *const f32, count: usize) -> Self::V;
+    /// # Safety
+    ///
+    /// [`Self::LANES`] numbers can be written at `to`.
+    unsafe fn store(self, to: *mut f32, a: Self::V);
+    /// Writes the first `count` (at most [`Self::LANES`]) lanes.
+    ///
+    /// # Safety
+    ///
+    /// `count` numbers can be written at `to`.
+    unsafe fn store_part(self, to: *mut f32, count: usize, a: Self::V);
+
+    /// Lane `j` of vector `i` becomes lane `i` of vector `j`, within the first [`Self::LANES`]
+    /// vectors.
+    fn transpose(self, rows: &mut [Self::V; MAX_LANES]);
+
+    /// `out[i][j] = sum over p < depth of a[p][i] b[p][j]`, where rows of `a` have [`Self::MR`]
+    /// numbers, those of `b` and `out` [`Self::NR`]. Products are added in the order of `p`. Of the
+    /// columns, the first `columns` (at least) are computed.
+    ///
+    /// # Safety
+    ///
+    /// `a` and `b` can be read and `out` written to those sizes.
+    unsafe fn tile(self, depth: usize, columns: usize, a: *const f32, b: *const f32, out: *mut f32);
+
+    /// The first `count` lanes from memory, zeros in the others if it is less than a vector.
+    ///
+    /// # Safety
+    ///
+    /// `count` numbers, at most [`Self::LANES`], can be read at `from`.
+    #[inline(always)]
+    unsafe fn load_up_to(self, from: *const f32, count: usize) -> Self::V {
+        // SAFETY: as said.
+        unsafe {
+            match count == Self::LANES {
+                true => self.load(from),
+                false => self.load_part(from, count),
+            }
+        }
+    }
+
+    /// Writes the first `count` lanes.
+    ///
+    /// # Safety
+    ///
+    /// `count` numbers, at most [`Self::LANES`], can be written at `to`.
+    #[inline(always)]
+    unsafe fn store_up_to(self, to: *mut f32, count: usize, a: Self::V) {
+        // SAFETY: as said.
+        unsafe {
+            match count == Self::LANES {
+                true => self.store(to, a),
+                false => self.store_part(to, count, a),
+            }
+        }
+    }
+}
+
+/// [`Simd::tile`] for the first `NV` vectors of the columns: the sums are `MR * NV` registers.
+///
+/// # Safety
+///
+/// As for [`Simd::tile`].
+#[inline(always)]
+unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
+    simd: S,
+    depth: usize,
+    mut a: *const f32,
+    mut b: *const f32,
+    out: *mut f32,
+) {
+    let mut sums = [[simd.splat(0.0); NV]; MR];
+    for _ in 0..depth {
+        let mut columns = [simd.splat(0.0); NV];
+        for (j, column) in columns.iter_mut().enumerate() {
+            // SAFETY: the caller lets `depth * NR` numbers be read at `b`.
+            *column = unsafe { simd.load(b.add(j * S::LANES)) };
+        }
+        for (i, row) in sums.iter_mut().enumerate() {
+            // SAFETY: the caller lets `depth * MR` numbers be read at `a`.
+            let factor = simd.splat(unsafe { *a.add(i) });
+            for (sum, &column) in row.iter_mut().zip(&columns) {
+                *sum = simd.fma(factor, column, *sum);
+            }
+        }
+        // SAFETY: at most one past the end, after the last step.
+        (a, b) = unsafe { (a.add(S::MR), b.add(S::NR)) };
+    }
+    for (i, row) in sums.iter().enumerate() {
+        for (j, &sum) in row.iter().enumerate() {
+            // SAFETY: the caller lets `MR * NR` numbers be written at `out`.
+            unsafe { simd.store(out.add(i * S::NR + j * S::LANES), sum) };
+        }
+    }
+}
