@@ -12,7 +12,7 @@ use crate::{Error, Result};
 
 /// How much of a file may be read to find out what it holds. The directory of a training
 /// checkpoint of MV-DUSt3R+, the largest known, has 0.4 MB.
-const MOST_DIRECTORY_BYTES: u64 = 16 << 20;
+const MOST_DIRECTORY_BYTES: u64 = 8 << 20;
 
 /// Whether a file that begins with `head` may be an archive.
 pub(crate) fn starts_as_zip(head: &[u8]) -> bool {
