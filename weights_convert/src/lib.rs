@@ -10,10 +10,10 @@
 //!   reads tensors out of files;
 //! - [`Network`]: the networks that tid3r knows, where their weights are published and under what
 //!   licence, and how their checkpoints are recognised. A new network begins there;
-//! - [`convert`], [`synthesize`], [`verify`]: folders of weights, with `model.safetensors` and
+//! - [`convert()`], [`synthesize()`], [`verify()`]: folders of weights, with `model.safetensors` and
 //!   `config.json` ([`ConfigFile`]), from published checkpoints or from a seed, and whether they are
 //!   sound;
-//! - [`find`]: where on this machine weights are;
+//! - [`find()`]: where on this machine weights are;
 //! - [`synth`]: synthetic weights, a pure function of name, shape and seed, with which a network
 //!   is compared with its original without anybody's trained weights;
 //! - [`Manifest`]: the list of tensors of an original network, read from JSON;
