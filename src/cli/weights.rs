@@ -288,8 +288,9 @@ impl Convert {
             replace: self.target.force,
             heads: self.heads,
         };
-        let network = weights::network_of(&source, &options)?;
-        let folder = self.target.folder(network, &places)?;
+        let folder = self
+            .target
+            .folder(|| weights::network_of(&source, &options), &places)?;
         let written = weights::convert(&source, &folder, &options, &mut shown(terminal))?;
         self.target.report(&written)
     }
@@ -346,7 +347,9 @@ impl Synthesize {
         } else {
             network.released()
         };
-        let folder = self.target.folder(network, &Places::of_environment())?;
+        let folder = self
+            .target
+            .folder(|| Ok(network), &Places::of_environment())?;
         let Target { dtype, force, .. } = self.target;
         let written = weights::synthesize(
             config,
@@ -361,8 +364,16 @@ impl Synthesize {
 }
 
 impl Target {
-    fn folder(&self, network: &Network, places: &Places) -> Result<PathBuf> {
-        match self.output.clone().or_else(|| places.folder(network)) {
+    /// The folder to write: that which is given, else that of the network in `TID3R_MODELS`.
+    fn folder(
+        &self,
+        network: impl FnOnce() -> weights::Result<&'static Network>,
+        places: &Places,
+    ) -> Result<PathBuf> {
+        if let Some(folder) = &self.output {
+            return Ok(folder.clone());
+        }
+        match places.folder(network()?) {
             Some(folder) => Ok(folder),
             None => bail!("no folder to write to; give -o FOLDER, or set TID3R_MODELS"),
         }

@@ -18,5 +18,6 @@ mod recording;
 mod render;
 mod stages;
 mod usage;
+mod weights;
 
 use place::Place;

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
+use crate::error::excerpt;
 use crate::stored::{StoredTensor, is_float, widen};
 use crate::{Error, Result, TensorSpec, safetensors_file, torch};
 
@@ -143,7 +144,7 @@ impl Checkpoint {
         let tensor = (self.contents.tensors.get(name))
             .filter(|tensor| is_float(tensor.dtype()))
             .ok_or_else(|| {
-                let problem = format!("there is no tensor `{name}` of real numbers");
+                let problem = format!("there is no tensor `{}` of real numbers", excerpt(name));
                 refuse(
                     problem,
                     "this is no checkpoint of the network that is wanted",
@@ -156,7 +157,8 @@ impl Checkpoint {
             values.clear();
             widen(tensor.dtype(), bytes, |value| values.push(value));
             if let Some(index) = values.iter().position(|value| !value.is_finite()) {
-                let problem = format!("tensor `{name}`: element {} is not finite", done + index);
+                let (name, index) = (excerpt(name), done + index);
+                let problem = format!("tensor `{name}`: element {index} is not finite");
                 return Err(refuse(problem, "the checkpoint is broken: get another"));
             }
             done += values.len();

@@ -109,11 +109,11 @@ pub fn convert(
     Ok(written)
 }
 
-/// Which network the checkpoint at `source` is of: what [`convert`] would make of it, without writing.
+/// Which network the checkpoint at `source` is of: what [`convert()`] would make of it, without writing.
 ///
 /// # Errors
 ///
-/// As [`convert`], but for those about values and about the folder.
+/// As [`convert()`], but for those about values and about the folder.
 pub fn network_of(source: &Path, options: &ConvertOptions) -> Result<&'static Network> {
     let (_, plan, _) = plan(source, options)?;
     Ok(plan.config.network())

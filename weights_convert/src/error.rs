@@ -42,6 +42,21 @@ pub enum Error {
 /// The result of everything in this crate that can fail.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
+/// Text that a file gives, as it can stand in a message: on one line, printable, and no longer than
+/// people read.
+pub(crate) fn excerpt(text: &str) -> String {
+    const MOST: usize = 120;
+    let mut shown: String = text
+        .chars()
+        .take(MOST)
+        .flat_map(char::escape_debug)
+        .collect();
+    if text.chars().nth(MOST).is_some() {
+        shown.push_str("..");
+    }
+    shown
+}
+
 impl Error {
     /// What is wrong, without the file and the remedy where those are known from elsewhere.
     pub(crate) fn problem(self) -> String {
@@ -76,5 +91,17 @@ impl Error {
             path,
             reason,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::excerpt;
+
+    #[test]
+    fn an_excerpt_is_one_short_line() {
+        assert_eq!(excerpt("enc_blocks.0.é"), "enc_blocks.0.é");
+        assert_eq!(excerpt("a\nb\u{1b}[31m"), "a\\nb\\u{1b}[31m");
+        assert_eq!(excerpt(&"x".repeat(1 << 20)).len(), 122);
     }
 }

@@ -161,11 +161,11 @@ impl Places {
         .find_map(|file| repository.get(file))
     }
 
-    /// As [`find`].
+    /// As [`find()`].
     ///
     /// # Errors
     ///
-    /// As [`find`].
+    /// As [`find()`].
     pub fn find(&self, network: &'static Network, given: Option<&Path>) -> Result<Found> {
         let found = match given {
             Some(path) => Found::open(path, Place::Given)?,

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::excerpt;
 use crate::{Config, Error, Precision, Result, TensorSpec};
 
 /// The file with the tensors.
@@ -85,7 +86,10 @@ impl ConfigFile {
         serde_json::from_slice(&text).map_err(|e| {
             Error::file(
                 path,
-                format!("not the configuration of converted weights: {e}"),
+                format!(
+                    "not the configuration of converted weights: {}",
+                    excerpt(&e.to_string())
+                ),
                 remedy,
             )
         })

@@ -5,16 +5,20 @@
 //!
 //! What is here:
 //!
-//! - [`Manifest`]: the list of tensors that a checkpoint must hold, read from JSON;
+//! - [`Checkpoint`]: files of `torch.save` and safetensors files, read as data, a piece at a time.
+//!   `pickle` reads pickles without executing them, `torch` finds tensors in what they say, `stored`
+//!   reads tensors out of files;
+//! - [`Network`]: the networks that tid3r knows, where their weights are published and under what
+//!   licence, and how their checkpoints are recognised. A new network begins there;
+//! - [`convert()`], [`synthesize()`], [`verify()`]: folders of weights, with `model.safetensors` and
+//!   `config.json` ([`ConfigFile`]), from published checkpoints or from a seed, and whether they are
+//!   sound;
+//! - [`find()`]: where on this machine weights are;
 //! - [`synth`]: synthetic weights, a pure function of name, shape and seed, with which a network
-//!   is compared with its original without anybody's trained weights; [`synth::write_checkpoint`]
-//!   makes a whole file of them;
+//!   is compared with its original without anybody's trained weights;
+//! - [`Manifest`]: the list of tensors of an original network, read from JSON;
 //! - `safetensors_file`: the one writer of safetensors. It streams: a checkpoint larger than
 //!   memory can be written, and a file is either complete or not there under its name.
-//!
-//! What belongs here next, each in a file of its own: readers of upstream checkpoints (zip-format
-//! `.pth` and `.pt`, folders of safetensors), which feed the same writer tensor by tensor, and the
-//! renamings between upstream names and ours where they differ.
 
 mod checkpoint;
 mod convert;

@@ -14,6 +14,7 @@ use safetensors::tensor::TensorInfo;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::Contents;
+use crate::error::excerpt;
 use crate::hash::Hashing;
 use crate::stored::StoredTensor;
 use crate::{Error, Result, TensorSpec};
@@ -84,11 +85,15 @@ pub(crate) fn contents(path: &Path, file: &File, length: u64) -> Result<Contents
         let tensor = StoredTensor::row_major(info.dtype, info.shape, start + first as u64)
             .filter(|tensor| end.checked_sub(first) == Some(tensor.extent_bytes()));
         let Some(tensor) = tensor else {
+            let name = excerpt(&name);
             let problem = format!("tensor `{name}` has another size than its shape and place say");
             return Err(refuse(problem));
         };
         if end > first && ends.insert(first, end).is_some() {
-            return Err(refuse(format!("tensor `{name}` lies over another")));
+            return Err(refuse(format!(
+                "tensor `{}` lies over another",
+                excerpt(&name)
+            )));
         }
         tensors.insert(name, tensor);
     }
@@ -138,7 +143,7 @@ fn read_header(
     (file.take(count).read_to_end(&mut text)).map_err(Error::io("read", path))?;
     Ok(serde_json::from_slice(&text)
         .map(|header| (PREFIX + count, header))
-        .map_err(|e| format!("its header cannot be read: {e}")))
+        .map_err(|e| format!("its header cannot be read: {}", excerpt(&e.to_string()))))
 }
 
 /// Larger elements first, so that all are aligned, then by name: the order of other writers.

@@ -9,6 +9,9 @@ use safetensors::Dtype;
 /// Bytes that are read at a time: the memory that reading a tensor takes, whatever its size.
 const CHUNK: usize = 1 << 20;
 
+/// The most dimensions a tensor can have.
+pub(crate) const MOST_DIMENSIONS: usize = 16;
+
 /// A tensor in a file: uncompressed, little-endian, its elements at fixed distances.
 #[derive(Clone, Debug)]
 pub(crate) struct StoredTensor {
@@ -24,7 +27,8 @@ pub(crate) struct StoredTensor {
 }
 
 impl StoredTensor {
-    /// A tensor of `shape`, row-major, that starts at byte `start`; `None` if its size overflows.
+    /// A tensor of `shape`, row-major, that starts at byte `start`; `None` if its size overflows or it
+    /// has too many dimensions.
     pub(crate) fn row_major(dtype: Dtype, shape: Vec<usize>, start: u64) -> Option<Self> {
         let mut strides = vec![1; shape.len()];
         let mut inner = 1_usize;
@@ -35,13 +39,17 @@ impl StoredTensor {
         Self::strided(dtype, shape, strides, start)
     }
 
-    /// A tensor of `shape` with as many `strides`; `None` if a size overflows.
+    /// A tensor of `shape` with as many `strides`; `None` if a size overflows or it has too many
+    /// dimensions.
     pub(crate) fn strided(
         dtype: Dtype,
         shape: Vec<usize>,
         strides: Vec<usize>,
         start: u64,
     ) -> Option<Self> {
+        if shape.len() > MOST_DIMENSIONS {
+            return None;
+        }
         let elements = shape.iter().copied().try_fold(1, usize::checked_mul)?;
         elements.checked_mul(dtype.bitsize())?;
         let last = shape

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use crate::error::excerpt;
 use crate::networks::differences;
 use crate::stored::is_float;
 use crate::{Checkpoint, Found, Precision, Provenance, Result, Step, hash};
@@ -67,7 +68,8 @@ pub fn verify(found: &Found, progress: &mut dyn FnMut(Step)) -> Result<Verdict> 
             dtypes.insert(known.map_or(format!("{dtype:?}"), |precision| precision.to_string()));
             if known.is_none() {
                 problems.push(format!(
-                    "tensor `{name}` is of type {dtype:?}, which is not loaded"
+                    "tensor `{}` is of type {dtype:?}, which is not loaded",
+                    excerpt(name)
                 ));
             }
             if is_float(dtype)

@@ -13,6 +13,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tid3r_models::mvdust3r as network;
 
+use crate::error::excerpt;
 use crate::{Checkpoint, Error, Result};
 
 /// A network that tid3r can run.
@@ -132,7 +133,7 @@ impl Config {
     }
 }
 
-/// What a checkpoint cannot be asked about.
+/// What is known about a checkpoint from elsewhere.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Hints<'a> {
     /// Attention heads of the encoder and of the decoder, which the shapes of tensors do not tell.
@@ -161,7 +162,7 @@ impl Plan {
         let some: Vec<_> = shapes
             .keys()
             .take(3)
-            .map(|name| format!("`{name}`"))
+            .map(|name| format!("`{}`", excerpt(name)))
             .collect();
         let known: Vec<_> = Network::all().iter().map(|network| network.title).collect();
         Err(Error::file(
@@ -175,8 +176,7 @@ impl Plan {
     }
 }
 
-/// What is wrong with `found`, the tensors of the file at `path`, for `config`; nothing if they are
-/// as they must be.
+/// How the shapes of `found` differ from those that are `wanted`; nothing if they are as they must be.
 pub(crate) fn differences(
     wanted: &BTreeMap<String, Vec<usize>>,
     found: &BTreeMap<&str, &[usize]>,
@@ -189,7 +189,7 @@ pub(crate) fn differences(
         let found = found.get(name.as_str()).filter(|found| **found != shape)?;
         Some(format!("`{name}` {found:?} instead of {shape:?}"))
     });
-    let quoted = |name: &str| format!("`{name}`");
+    let quoted = |name: &str| format!("`{}`", excerpt(name));
     [
         (
             "missing",

@@ -16,6 +16,8 @@ mod machine;
 
 use std::fmt;
 
+use crate::error::excerpt;
+
 /// The largest pickle that is read, in bytes. That of a training checkpoint of MV-DUSt3R+, the
 /// optimiser's bookkeeping included, has less than one megabyte.
 pub(crate) const MOST_BYTES: u64 = 16 << 20;
@@ -191,11 +193,9 @@ impl<'a> Pickle<'a> {
 /// A dictionary that remembers its order.
 const ORDERED_DICT: (&str, &str) = ("collections", "OrderedDict");
 
-/// A name for a message: printable, and not longer than people read.
+/// A name for a message.
 fn dotted(module: &str, name: &str) -> String {
-    let full = format!("{module}.{name}");
-    let short: String = full.chars().take(80).flat_map(char::escape_debug).collect();
-    format!("`{short}`")
+    format!("`{}.{}`", excerpt(module), excerpt(name))
 }
 
 #[cfg(test)]

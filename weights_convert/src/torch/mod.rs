@@ -13,6 +13,7 @@ use archive::Archive;
 use state_dict::View;
 
 use crate::checkpoint::Contents;
+use crate::error::excerpt;
 use crate::pickle::Pickle;
 use crate::stored::StoredTensor;
 use crate::{Error, Result};
@@ -36,7 +37,11 @@ pub(crate) fn contents(path: &Path, file: &File, length: u64) -> Result<Contents
     for (name, view) in found.tensors {
         let tensor = locate(&mut archive, &view)?.map_err(|problem| {
             let remedy = "it is damaged: get it again";
-            Error::file(path, format!("tensor `{name}`: {problem}"), remedy)
+            Error::file(
+                path,
+                format!("tensor `{}`: {problem}", excerpt(&name)),
+                remedy,
+            )
         })?;
         tensors.insert(name, tensor);
     }
@@ -50,7 +55,10 @@ pub(crate) fn contents(path: &Path, file: &File, length: u64) -> Result<Contents
 /// The numbers of `view` in the file, or what is wrong with them.
 fn locate(archive: &mut Archive<'_>, view: &View) -> Result<Result<StoredTensor, String>> {
     let Some(storage) = archive.storage(&view.key)? else {
-        return Ok(Err(format!("its storage `{}` is missing", view.key)));
+        return Ok(Err(format!(
+            "its storage `{}` is missing",
+            excerpt(&view.key)
+        )));
     };
     Ok((|| {
         let too_large = || "it is larger than memory can address".to_owned();

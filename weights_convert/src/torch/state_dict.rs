@@ -2,10 +2,9 @@
 
 use safetensors::Dtype;
 
+use crate::error::excerpt;
 use crate::pickle::{Id, Node, Pickle};
-
-/// The most dimensions a tensor can have.
-const MOST_DIMENSIONS: usize = 16;
+use crate::stored::MOST_DIMENSIONS;
 
 /// A state dict, and what is saved beside it.
 #[derive(Debug, Default)]
@@ -57,18 +56,13 @@ pub(super) fn find(pickle: &Pickle<'_>) -> Result<StateDict, String> {
         };
         match view(pickle, value) {
             Ok(view) => Ok((name.to_owned(), view)),
-            Err(problem) => Err(format!("tensor `{}`: {problem}", shortened(name))),
+            Err(problem) => Err(format!("tensor `{}`: {problem}", excerpt(name))),
         }
     };
     Ok(StateDict {
         tensors: tensors.iter().map(tensor).collect::<Result<_, _>>()?,
         constructor: constructor(pickle),
     })
-}
-
-/// A name that a file gives, as it can stand in a message.
-fn shortened(name: &str) -> String {
-    name.chars().take(80).flat_map(char::escape_debug).collect()
 }
 
 /// `args.model`, where `args` is a namespace or a dictionary.
