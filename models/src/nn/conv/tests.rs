@@ -7,7 +7,13 @@ fn conv(inputs: usize, outputs: usize, kernel: usize) -> Conv2d {
         let value = |i: usize| ((i * 7919 + name.len()) % 23) as f32 / 23.0 - 0.4;
         (0..shape.iter().product()).map(value).collect()
     };
-    Conv2d::new(inputs, outputs, kernel, &Weights::from_fn(make, &Device::Cpu)).unwrap()
+    Conv2d::new(
+        inputs,
+        outputs,
+        kernel,
+        &Weights::from_fn(make, &Device::Cpu),
+    )
+    .unwrap()
 }
 
 fn image(shape: (usize, usize, usize, usize)) -> Tensor {
@@ -32,7 +38,7 @@ fn like_candle() {
         let x = image((2, 9, 6, inputs));
         let plain = conv.plain(&x).unwrap();
         let fast = conv.clone().with_precision(Precision::Fast);
-        for (conv, tolerance) in [(&conv, 2e-6), (&fast, 2e-5)] {
+        for (conv, tolerance) in [(&conv, 3e-6), (&fast, 1e-4)] {
             for activation in [Activation::Identity, Activation::Selu] {
                 let got = conv.forward(&x, activation).unwrap();
                 let error = error(&got, &activation.apply(&plain).unwrap());
@@ -67,7 +73,8 @@ fn what_does_not_fit_is_refused() {
     assert!(forward(&x.squeeze(0).unwrap()).is_err());
     assert!(forward(&x.to_dtype(candle_core::DType::F64).unwrap()).is_err());
     assert!(conv.forward_add(&x, &x).is_err());
-    let empty = forward(&Tensor::zeros((0, 3, 3, 4), candle_core::DType::F32, &Device::Cpu).unwrap());
+    let empty =
+        forward(&Tensor::zeros((0, 3, 3, 4), candle_core::DType::F32, &Device::Cpu).unwrap());
     assert_eq!(empty.unwrap().dims(), [0, 3, 3, 5]);
 }
 
@@ -80,7 +87,11 @@ fn a_folded_norm_is_the_norm() {
     };
     let norm = BatchNorm2d::new(4, 1e-5, &Weights::from_fn(make, &Device::Cpu)).unwrap();
     let x = image((1, 5, 4, 3));
-    let got = conv.folded(&norm).unwrap().forward(&x, Activation::Identity).unwrap();
+    let got = conv
+        .folded(&norm)
+        .unwrap()
+        .forward(&x, Activation::Identity)
+        .unwrap();
     let y = conv.plain(&x).unwrap();
     let channel = |p: &Parameter| p.tensor().unwrap();
     let want = y
@@ -90,4 +101,27 @@ fn a_folded_norm_is_the_norm() {
         .and_then(|y| y.broadcast_add(&channel(&norm.bias)))
         .unwrap();
     assert!(error(&got, &want) < 2e-6);
+}
+
+#[test]
+fn in_turn_is_one_after_the_other() {
+    let layers = [
+        (conv(6, 40, 3), Activation::Selu),
+        (conv(40, 36, 5), Activation::Relu),
+        (conv(36, 34, 1), Activation::Gelu),
+        (conv(34, 3, 3), Activation::Identity),
+    ];
+    for count in 1..=layers.len() {
+        let x = image((2, 9, 6, 6));
+        let got = convolve_in_turn(&layers[..count], &x).unwrap();
+        let one_by_one = (layers[..count].iter()).try_fold(x, |x, (conv, a)| conv.forward(&x, *a));
+        let want = one_by_one.unwrap();
+        assert_eq!(got.dims(), want.dims());
+        let numbers = |x: Tensor| x.flatten_all().and_then(|x| x.to_vec1::<f32>()).unwrap();
+        assert_eq!(numbers(got), numbers(want));
+    }
+    let x = image((2, 9, 6, 6));
+    assert!(convolve_in_turn(&[], &x).is_err());
+    assert!(convolve_in_turn(&layers[1..], &x).is_err());
+    assert!(convolve_in_turn(&[layers[0].clone(), layers[2].clone()], &x).is_err());
 }

@@ -9,6 +9,7 @@
 mod epilogue;
 mod gathered;
 mod shifted;
+mod stage;
 #[cfg(test)]
 mod tests;
 mod winograd;
@@ -16,6 +17,7 @@ mod winograd;
 pub(in crate::nn) use epilogue::Epilogue;
 use gathered::Gathered;
 use shifted::Shifted;
+pub(in crate::nn) use stage::{Stage, in_turn};
 use winograd::{Scheme, Winograd};
 
 use candle_core::Result;
@@ -52,6 +54,11 @@ impl Images {
     pub(in crate::nn) fn pixels(self) -> usize {
         self.batch * self.height * self.width
     }
+
+    /// Of a tensor of these images.
+    pub(in crate::nn) fn shape(self, channels: usize) -> (usize, usize, usize, usize) {
+        (self.batch, self.height, self.width, channels)
+    }
 }
 
 /// A convolution with its weights laid out for one way of computing it.
@@ -70,7 +77,7 @@ impl Convolution {
             (3, false) => Some(Scheme::F23),
             (3, true) => Some(Scheme::F43),
             (5, false) => Some(Scheme::F25),
-            (5, true) => Some(Scheme::F45),
+            (5, true) => Some(Scheme::F65),
             _ => None,
         };
         let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;
@@ -83,7 +90,11 @@ impl Convolution {
 
     /// The convolution of `x`, which has `images.pixels()` times the inputs, finished by `epilogue`,
     /// into `out`, which has as many times the outputs.
-    pub(in crate::nn) fn run(
+    ///
+    /// # Errors
+    ///
+    /// If these are not as many.
+    fn run(
         &self,
         images: Images,
         x: &[f32],

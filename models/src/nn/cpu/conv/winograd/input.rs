@@ -95,7 +95,14 @@ impl<const N: usize, const M: usize> Task for Forward<'_, N, M> {
                 // SAFETY: pixels have `channels` numbers, and planes as many for each tile.
                 let load = |from: *const f32| unsafe { simd.load(from.add(c)) };
                 let store = |to: *mut f32, v| unsafe { simd.store(to.add(t * channels + c), v) };
-                block(simd, self.data.transform, &window, &mut self.planes, load, store);
+                block(
+                    simd,
+                    self.data.transform,
+                    &window,
+                    &mut self.planes,
+                    load,
+                    store,
+                );
             }
             if whole < channels {
                 let rest = channels - whole;
@@ -104,7 +111,14 @@ impl<const N: usize, const M: usize> Task for Forward<'_, N, M> {
                 let store = |to: *mut f32, v| unsafe {
                     simd.store_part(to.add(t * channels + whole), rest, v);
                 };
-                block(simd, self.data.transform, &window, &mut self.planes, load, store);
+                block(
+                    simd,
+                    self.data.transform,
+                    &window,
+                    &mut self.planes,
+                    load,
+                    store,
+                );
             }
         }
     }

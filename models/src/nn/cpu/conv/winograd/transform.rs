@@ -4,7 +4,9 @@ use super::points::Scheme;
 use crate::nn::cpu::simd::Simd;
 
 /// The most pairs of points.
-const PAIRS: usize = 3;
+const PAIRS: usize = 4;
+/// The most outputs.
+const OUTPUTS: usize = 6;
 
 /// A [`Scheme`]'s matrices, folded: rows of a pair of points `p` and `-p` are `even + odd` and
 /// `even - odd`, where one has only the even columns and the other only the odd ones. That halves the
@@ -20,7 +22,7 @@ pub(super) struct Transform {
     /// For each pair, columns 1, 3, ..
     odd: [[f32; PAIRS]; PAIRS],
     /// For each pair, the factors of its products in each output.
-    powers: [[f32; 4]; PAIRS],
+    powers: [[f32; OUTPUTS]; PAIRS],
 }
 
 impl Transform {
@@ -32,7 +34,7 @@ impl Transform {
             infinity: [0.0; PAIRS + 1],
             even: [[0.0; PAIRS]; PAIRS],
             odd: [[0.0; PAIRS]; PAIRS],
-            powers: [[0.0; 4]; PAIRS],
+            powers: [[0.0; OUTPUTS]; PAIRS],
         };
         for k in 0..n / 2 {
             transform.zero[k] = data[0][2 * k] as f32;
@@ -111,7 +113,9 @@ mod tests {
         let want: Vec<f32> = scheme.of_data().iter().map(|row| dot(row)).collect();
         // All numbers are whole and small.
         assert_eq!(got[..], want[..], "{scheme:?}");
-        let got = transform.outputs::<_, N, M>(Portable, vectors).map(|v| v[0]);
+        let got = transform
+            .outputs::<_, N, M>(Portable, vectors)
+            .map(|v| v[0]);
         let matrix = scheme.of_products();
         for (i, got) in got.into_iter().enumerate() {
             let column: Vec<i64> = matrix.iter().map(|row| row[i]).collect();
@@ -124,6 +128,6 @@ mod tests {
         check::<4, 2>(Scheme::F23);
         check::<6, 4>(Scheme::F43);
         check::<6, 2>(Scheme::F25);
-        check::<8, 4>(Scheme::F45);
+        check::<10, 6>(Scheme::F65);
     }
 }
