@@ -63,7 +63,7 @@ impl Images {
 
 /// A convolution with its weights laid out for one way of computing it.
 pub(in crate::nn) enum Convolution {
-    Winograd(Winograd),
+    Winograd(Box<Winograd>),
     Gathered(Gathered),
     Shifted(Shifted),
 }
@@ -82,7 +82,9 @@ impl Convolution {
         };
         let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;
         match scheme {
-            Some(scheme) if many => Winograd::new(isa, filter, scheme).map(Self::Winograd),
+            Some(scheme) if many => {
+                Winograd::new(isa, filter, scheme).map(|way| Self::Winograd(Box::new(way)))
+            }
             _ if Shifted::pays(isa, filter) => Shifted::new(isa, filter).map(Self::Shifted),
             _ => Gathered::new(isa, filter).map(Self::Gathered),
         }

@@ -18,7 +18,9 @@ impl Way {
         match self {
             Self::Gathered => Gathered::new(isa, filter).map(Convolution::Gathered),
             Self::Shifted => Shifted::new(isa, filter).map(Convolution::Shifted),
-            Self::Winograd(s) => Winograd::new(isa, filter, s).map(Convolution::Winograd),
+            Self::Winograd(s) => {
+                Winograd::new(isa, filter, s).map(|way| Convolution::Winograd(Box::new(way)))
+            }
         }
         .unwrap()
     }

@@ -28,7 +28,7 @@ pub(super) struct Transform {
 impl Transform {
     pub(super) fn new(scheme: Scheme) -> Self {
         let (data, products) = (scheme.of_data(), scheme.of_products());
-        let (n, m) = (scheme.products(), scheme.outputs);
+        let n = scheme.products();
         let mut transform = Self {
             zero: [0.0; PAIRS + 1],
             infinity: [0.0; PAIRS + 1],
@@ -46,8 +46,8 @@ impl Transform {
                 transform.even[pair][k] = data[plus][2 * k + 2] as f32;
                 transform.odd[pair][k] = data[plus][2 * k + 1] as f32;
             }
-            for i in 0..m {
-                transform.powers[pair][i] = products[plus][i] as f32;
+            for (power, &product) in transform.powers[pair].iter_mut().zip(&products[plus]) {
+                *power = product as f32;
             }
         }
         transform
