@@ -2,6 +2,8 @@
 
 use candle_core::{Result, Tensor};
 
+use super::cpu::{self, HostTensor, Isa};
+
 /// What a layer does to each of its outputs, element by element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
@@ -28,6 +30,15 @@ impl Activation {
     ///
     /// If `x` holds integers.
     pub fn apply(self, x: &Tensor) -> Result<Tensor> {
+        if self != Self::Identity && HostTensor::fits(x) {
+            cpu::activation(Isa::current()?, self, x)
+        } else {
+            self.plain(x)
+        }
+    }
+
+    /// The activation by candle's own operations.
+    fn plain(self, x: &Tensor) -> Result<Tensor> {
         match self {
             Self::Identity => Ok(x.clone()),
             Self::Gelu => x.gelu_erf(),
@@ -40,6 +51,7 @@ impl Activation {
 #[cfg(test)]
 mod tests {
     use candle_core::Device;
+    use proptest::prelude::*;
 
     use super::*;
 
@@ -60,5 +72,43 @@ mod tests {
         check(Activation::Gelu, gelu);
         let selu = [-1.520_166_5, -1.111_330_7, 0.0, 1.050_701, 2.101_402];
         check(Activation::Selu, selu);
+    }
+
+    proptest! {
+        #[test]
+        fn as_by_candle(x in prop::collection::vec(-12.0_f32..12.0, 0..70)) {
+            let x = Tensor::from_vec(x.clone(), x.len(), &Device::Cpu).unwrap();
+            for activation in [Activation::Gelu, Activation::Relu, Activation::Selu] {
+                let want = activation.plain(&x).unwrap().to_vec1::<f32>().unwrap();
+                for isa in Isa::available() {
+                    let got = cpu::activation(isa, activation, &x).unwrap();
+                    for (got, want) in got.to_vec1::<f32>().unwrap().iter().zip(&want) {
+                        let bound = 1e-7 + 3e-7 * want.abs();
+                        prop_assert!((got - want).abs() < bound, "{isa}: {got} {want}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn infinities_and_nan_pass() {
+        let x = Tensor::new(&[f32::INFINITY, f32::NAN, f32::NEG_INFINITY], &Device::Cpu).unwrap();
+        for isa in Isa::available() {
+            let of = |activation| {
+                let y = cpu::activation(isa, activation, &x).unwrap();
+                y.to_vec1::<f32>().unwrap()
+            };
+            for y in [
+                of(Activation::Relu),
+                of(Activation::Selu),
+                of(Activation::Gelu),
+            ] {
+                assert!(y[1].is_nan(), "{isa}: {y:?}");
+            }
+            assert_eq!(of(Activation::Relu)[2], 0.0);
+            assert!((of(Activation::Selu)[2] + 1.758_099_3).abs() < 1e-6);
+            assert_eq!(of(Activation::Selu)[0], f32::INFINITY);
+        }
     }
 }

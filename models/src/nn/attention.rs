@@ -2,6 +2,7 @@
 
 use candle_core::{D, Result, Tensor, bail};
 
+use super::cpu::{self, HostTensor, Isa};
 use super::{Activation, Linear, Rotation};
 use crate::Weights;
 
@@ -24,6 +25,16 @@ pub struct Memory {
 ///
 /// If there is no memory or the shapes do not fit each other.
 pub fn attention(q: &Tensor, memories: &[Memory], heads: usize) -> Result<Tensor> {
+    let of_host = |memory: &Memory| HostTensor::fits(&memory.k) && HostTensor::fits(&memory.v);
+    if HostTensor::fits(q) && memories.iter().all(of_host) {
+        cpu::attention(Isa::current()?, q, memories, heads)
+    } else {
+        plain(q, memories, heads)
+    }
+}
+
+/// Attention by candle's own operations.
+fn plain(q: &Tensor, memories: &[Memory], heads: usize) -> Result<Tensor> {
     let (batch, queries, channels) = q.dims3()?;
     if heads == 0 || !channels.is_multiple_of(heads) {
         bail!("{channels} channels cannot be shared among {heads} heads");
@@ -188,6 +199,7 @@ impl CrossAttention {
 #[cfg(test)]
 mod tests {
     use candle_core::Device;
+    use proptest::prelude::*;
 
     use super::*;
 
@@ -214,5 +226,89 @@ mod tests {
         {
             assert!((got - want).abs() < 1e-5, "{got} {want}");
         }
+    }
+
+    /// Tokens that neither begin at the start of their storage nor fill their rows.
+    fn tokens(batch: usize, tokens: usize, channels: usize) -> Tensor {
+        let shape = (batch, tokens, channels + 5);
+        let wide = Tensor::randn(0.0_f32, 2.0, shape, &Device::Cpu).unwrap();
+        wide.narrow(2, 3, channels).unwrap()
+    }
+
+    fn flat(x: &Tensor) -> Vec<f32> {
+        x.flatten_all().unwrap().to_vec1().unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn as_by_candle(
+            batch in 1_usize..3,
+            heads in 1_usize..4,
+            dim in prop::sample::select(vec![1, 4, 8, 16, 20, 32, 64]),
+            queries in 1_usize..75,
+            keys in prop::collection::vec(1_usize..80, 1..4),
+            many in prop::bool::weighted(0.1),
+        ) {
+            let q = tokens(batch, queries, heads * dim);
+            let more = if many { 1100 } else { 0 };
+            let memories: Vec<Memory> = keys
+                .iter()
+                .map(|&keys| Memory {
+                    k: tokens(batch, keys + more, heads * dim),
+                    v: tokens(batch, keys + more, heads * dim),
+                })
+                .collect();
+            let want = plain(&q, &memories, heads).unwrap();
+            for isa in Isa::available() {
+                let got = cpu::attention(isa, &q, &memories, heads).unwrap();
+                prop_assert_eq!(got.dims(), want.dims());
+                for (got, want) in flat(&got).iter().zip(flat(&want)) {
+                    // Scores go up to some 40 here, of which 1e-6 is lost in both.
+                    prop_assert!((got - want).abs() < 2e-4, "{isa}: {got} {want}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn great_scores_do_not_overflow() {
+        // The softmax is 1 for one key, whose score is 1e6 above the others'.
+        let q = Tensor::full(1e3_f32, (1, 3, 4), &Device::Cpu).unwrap();
+        let memory = |k: f32, v: f32, tokens: usize| Memory {
+            k: Tensor::full(k, (1, tokens, 4), &Device::Cpu).unwrap(),
+            v: Tensor::full(v, (1, tokens, 4), &Device::Cpu).unwrap(),
+        };
+        let memories = [
+            memory(-500.0, 1.0, 600),
+            memory(0.5, 7.0, 1),
+            memory(-1e3, 2.0, 700),
+        ];
+        for isa in Isa::available() {
+            let got = cpu::attention(isa, &q, &memories, 1).unwrap();
+            for got in flat(&got) {
+                assert!((got - 7.0).abs() < 1e-5, "{isa}: {got}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let (q, k) = (tokens(1, 3, 8), tokens(1, 5, 8));
+        let of = |k: &Tensor, v: &Tensor, heads| {
+            let memory = Memory {
+                k: k.clone(),
+                v: v.clone(),
+            };
+            attention(&q, &[memory], heads)
+        };
+        assert!(of(&k, &k, 2).is_ok());
+        assert!(of(&k, &k, 3).is_err());
+        assert!(of(&k, &k, 0).is_err());
+        assert!(of(&k, &tokens(1, 4, 8), 2).is_err());
+        assert!(of(&tokens(1, 5, 4), &k, 2).is_err());
+        assert!(of(&tokens(2, 5, 8), &k, 2).is_err());
+        assert!(attention(&q, &[], 2).is_err());
+        let none = k.narrow(1, 0, 0).unwrap();
+        assert!(of(&none, &none, 2).is_err());
     }
 }

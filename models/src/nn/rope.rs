@@ -2,6 +2,8 @@
 
 use candle_core::{Device, Result, Tensor, bail};
 
+use super::cpu::{self, HostTensor, Isa};
+
 /// RoPE in two dimensions, as CroCo v2 has it (Weinzaepfel et al. 2023, after Su et al. 2021).
 ///
 /// The first half of a head's channels is rotated by the token's row, the second half by its
@@ -71,7 +73,7 @@ impl Rotation {
     ///
     /// If the number of tokens or `head_dim` is not that of this rotation.
     pub fn apply(&self, x: &Tensor, heads: usize) -> Result<Tensor> {
-        let (batch, tokens, channels) = x.dims3()?;
+        let (_, tokens, channels) = x.dims3()?;
         let (positions, pairs) = self.rows[0].dims2()?;
         if (tokens, channels) != (positions, heads * 4 * pairs) {
             bail!(
@@ -79,6 +81,17 @@ impl Rotation {
                 heads * 4 * pairs
             );
         }
+        if HostTensor::fits(x) && HostTensor::fits(&self.rows[0]) {
+            cpu::rotate(Isa::current()?, x, [&self.rows, &self.columns], heads)
+        } else {
+            self.plain(x, heads)
+        }
+    }
+
+    /// The rotation by candle's own operations.
+    fn plain(&self, x: &Tensor, heads: usize) -> Result<Tensor> {
+        let (batch, tokens, channels) = x.dims3()?;
+        let (_, pairs) = self.rows[0].dims2()?;
         let x = x.contiguous()?.reshape((batch, tokens, heads, 4, pairs))?;
         let quarter = |i: usize| x.narrow(3, i, 1)?.squeeze(3);
         let half = |first: usize, [cos, sin]: &[Tensor; 2]| -> Result<[Tensor; 2]> {
@@ -166,6 +179,31 @@ mod tests {
                 turned[0].iter().zip(&turned[1]).map(|(q, k)| q * k).sum::<f32>()
             };
             prop_assert!((product(at) - product(add(at, shift))).abs() < 1e-4);
+        }
+
+        #[test]
+        fn as_by_candle(
+            batch in 1_usize..3,
+            heads in 1_usize..4,
+            pairs in 1_usize..20,
+            positions in prop::collection::vec(prop::array::uniform2(0_u32..40), 1..20),
+        ) {
+            let rope = Rope2d::new(4 * pairs, 100.0).unwrap();
+            let rotation = rope.rotation(&positions, &Device::Cpu).unwrap();
+            let (tokens, channels) = (positions.len(), heads * 4 * pairs);
+            let wide = (batch, tokens, 2 * channels);
+            let x = Tensor::randn(0.0_f32, 1.0, wide, &Device::Cpu).unwrap();
+            let x = x.narrow(2, channels, channels).unwrap();
+            let flat = |x: Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            let want = flat(rotation.plain(&x, heads).unwrap());
+            for isa in Isa::available() {
+                let tables = [&rotation.rows, &rotation.columns];
+                let got = flat(cpu::rotate(isa, &x, tables, heads).unwrap());
+                prop_assert_eq!(got.len(), want.len());
+                for (got, want) in got.iter().zip(&want) {
+                    prop_assert!((got - want).abs() < 1e-5, "{isa}: {got} {want}");
+                }
+            }
         }
     }
 }

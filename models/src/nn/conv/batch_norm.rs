@@ -80,9 +80,9 @@ fn normalised(x: &[f32], weight: &[f32], bias: &[f32], eps: f64) -> Vec<f32> {
     (y.par_chunks_mut(channels).zip(x.par_chunks(channels)))
         .with_min_len(256)
         .for_each(|(y, x)| {
-            for c in 0..channels {
-                let value = (f64::from(x[c]) - mean[c]) * scale[c] + f64::from(bias[c]);
-                y[c] = value as f32;
+            let affine = mean.iter().zip(&scale).zip(bias);
+            for ((y, &x), ((mean, scale), &bias)) in y.iter_mut().zip(x).zip(affine) {
+                *y = ((f64::from(x) - mean) * scale + f64::from(bias)) as f32;
             }
         });
     y
@@ -148,7 +148,7 @@ mod tests {
         // Exact in f32; the result is plus or minus one. Sums in f32 would lose the difference.
         let x = |i: usize| 65_536.0 + if i / 2 % 2 == 0 { 0.125 } else { -0.125 };
         let norm = norm([1.0; 2], [0.0; 2], 1e-9);
-        let got = forward(&norm, (2, 64, 80, 2), (0..2 * 2 * 64 * 80).map(x).collect());
+        let got = forward(&norm, (2, 64, 80, 2), (0..2 * 64 * 80 * 2).map(x).collect());
         for (i, got) in got.into_iter().enumerate() {
             let want = if i / 2 % 2 == 0 { 1.0 } else { -1.0 };
             assert!((got - want).abs() < 1e-6, "{got} {want}");

@@ -6,11 +6,11 @@ mod tests;
 
 use std::sync::{Arc, OnceLock};
 
-use candle_core::{Device, Error, Result, Storage, Tensor, bail};
+use candle_core::{Device, Error, Result, Tensor, bail};
 
 use super::Activation;
-use super::cpu::Isa;
 use super::cpu::conv::{Convolution, Epilogue, Filter, Images, Stage, in_turn};
+use super::cpu::{HostTensor, Isa};
 use crate::{Parameter, Weights};
 
 pub use batch_norm::BatchNorm2d;
@@ -256,13 +256,6 @@ pub fn convolve_in_turn(layers: &[(Conv2d, Activation)], x: &Tensor) -> Result<T
 /// Calls `with` on the numbers of `x`, row-major.
 fn with_values<T>(x: &Tensor, with: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
     let x = x.contiguous()?;
-    let (storage, layout) = x.storage_and_layout();
-    let Storage::Cpu(storage) = &*storage else {
-        bail!("a convolution with weights on the CPU got a tensor on another device");
-    };
-    let values = storage.as_slice::<f32>()?;
-    match layout.contiguous_offsets() {
-        Some((start, end)) => with(&values[start..end]),
-        None => bail!("a contiguous tensor is not contiguous"),
-    }
+    let host = HostTensor::new(&x)?;
+    with(&host.data()?[..x.elem_count()])
 }

@@ -21,7 +21,7 @@ pub(super) fn exp<S: Simd>(simd: S, x: S::V) -> S::V {
     const EXP: [f32; 7] = [
         1.0,
         1.0,
-        0.499_999_92,
+        0.499_999_9,
         0.166_664_19,
         0.041_668_232,
         0.008_374_898,
@@ -36,7 +36,25 @@ pub(super) fn exp<S: Simd>(simd: S, x: S::V) -> S::V {
     simd.scale(polynomial(simd, r, &EXP), n)
 }
 
-/// `x Phi(x)`, Phi being the normal distribution function; the error is below 2e-8 and a unit in
+/// `2^y` with a relative error below 2e-7 for `y` within -125 to 127; `2^-125` below that.
+#[inline(always)]
+pub(super) fn exp2<S: Simd>(simd: S, y: S::V) -> S::V {
+    // 2^y = 2^n 2^f, |f| <= 1/2. The minimax polynomial for the relative error, 2e-9.
+    const EXP2: [f32; 7] = [
+        1.0,
+        std::f32::consts::LN_2,
+        0.240_226_47,
+        0.055_503_285,
+        0.009_618_49,
+        0.001_340_006_3,
+        0.000_153_456_93,
+    ];
+    let y = simd.max(simd.splat(-125.0), y);
+    let n = simd.round(y);
+    simd.scale(polynomial(simd, simd.sub(y, n), &EXP2), n)
+}
+
+/// `x Phi(x)`, Phi being the normal distribution function; the error is below 5e-8 and a unit in
 /// the last place of the result.
 #[inline(always)]
 pub(super) fn gelu<S: Simd>(simd: S, x: S::V) -> S::V {
@@ -45,7 +63,7 @@ pub(super) fn gelu<S: Simd>(simd: S, x: S::V) -> S::V {
     // greatest error of |x| Q(|x|) is least (2e-9). Beyond 8, Q is below 1e-15.
     const LOG2_Q: [f32; 10] = [
         -0.999_999_7,
-        -1.151_110_05,
+        -1.151_11,
         -0.459_187_48,
         -0.052_527_79,
         0.007_069_701_3,
@@ -55,20 +73,11 @@ pub(super) fn gelu<S: Simd>(simd: S, x: S::V) -> S::V {
         -6.530_435e-6,
         3.106_818_3e-7,
     ];
-    /// 2^f for |f| <= 1/2, the minimax polynomial for the relative error of 2e-9.
-    const EXP2: [f32; 7] = [
-        1.0,
-        0.693_147_2,
-        0.240_226_47,
-        0.055_503_285,
-        0.009_618_49,
-        0.001_340_006_3,
-        0.000_153_456_93,
-    ];
     let size = simd.abs(x);
-    let y = polynomial(simd, simd.min(simd.splat(8.0), size), &LOG2_Q);
-    let n = simd.round(y);
-    let tail = simd.scale(polynomial(simd, simd.sub(y, n), &EXP2), n);
+    let tail = exp2(
+        simd,
+        polynomial(simd, simd.min(simd.splat(8.0), size), &LOG2_Q),
+    );
     simd.fnma(size, tail, simd.max(simd.splat(0.0), x))
 }
 
@@ -86,6 +95,98 @@ pub(super) fn activate<S: Simd>(simd: S, activation: Activation, x: S::V) -> S::
             let negative = simd.mul(simd.splat(below), simd.sub(exp(simd, x), simd.splat(1.0)));
             let positive = simd.mul(simd.splat(scale), x);
             simd.if_less(x, simd.splat(0.0), negative, positive)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::cpu::erf::erf_f64;
+
+    use super::super::Isa;
+    use super::super::isa::Task;
+    use super::*;
+
+    enum Function {
+        Exp,
+        Exp2,
+        Gelu,
+    }
+
+    /// The function's values at `x`.
+    struct Values<'a>(Function, &'a [f32]);
+
+    impl Task for Values<'_> {
+        type Output = Vec<f32>;
+
+        #[inline(always)]
+        fn run<S: Simd>(self, simd: S) -> Vec<f32> {
+            let mut values = vec![0.0; self.1.len()];
+            for (x, y) in self.1.chunks(S::LANES).zip(values.chunks_mut(S::LANES)) {
+                // SAFETY: both are as long as said.
+                unsafe {
+                    let v = simd.load_up_to(x.as_ptr(), x.len());
+                    let v = match self.0 {
+                        Function::Exp => exp(simd, v),
+                        Function::Exp2 => exp2(simd, v),
+                        Function::Gelu => gelu(simd, v),
+                    };
+                    simd.store_up_to(y.as_mut_ptr(), y.len(), v);
+                }
+            }
+            values
+        }
+    }
+
+    /// Numbers from `-end` to `end`.
+    fn sweep(end: f32) -> Vec<f32> {
+        let steps = 40_001;
+        (0..=2 * steps)
+            .map(|i| (i - steps) as f32 / steps as f32 * end)
+            .collect()
+    }
+
+    #[test]
+    fn exponentials_are_right_to_three_units() {
+        let (x, y) = (sweep(87.0), sweep(124.0));
+        for isa in Isa::available() {
+            for (x, got) in x.iter().zip(isa.run(Values(Function::Exp, &x))) {
+                let want = f64::from(*x).exp();
+                assert!((f64::from(got) / want - 1.0).abs() < 2e-7, "{isa} exp {x}");
+            }
+            for (y, got) in y.iter().zip(isa.run(Values(Function::Exp2, &y))) {
+                let want = f64::from(*y).exp2();
+                assert!((f64::from(got) / want - 1.0).abs() < 2e-7, "{isa} exp2 {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn exponentials_beyond_f32_are_infinite_or_zero() {
+        let x = [f32::INFINITY, 100.0, -110.0, f32::NEG_INFINITY, f32::NAN];
+        for isa in Isa::available() {
+            let y = isa.run(Values(Function::Exp, &x));
+            assert_eq!(y[..4], [f32::INFINITY, f32::INFINITY, 0.0, 0.0], "{isa}");
+            assert!(y[4].is_nan());
+            let y = isa.run(Values(Function::Exp2, &[f32::NEG_INFINITY, 0.0, f32::NAN]));
+            assert!(y[0] < 1e-37 && y[1] == 1.0 && y[2].is_nan(), "{isa} {y:?}");
+        }
+    }
+
+    #[test]
+    fn gelu_is_right_to_a_unit_of_its_result() {
+        for x in [sweep(0.01), sweep(10.0), sweep(1e4)] {
+            for isa in Isa::available() {
+                for (x, got) in x.iter().zip(isa.run(Values(Function::Gelu, &x))) {
+                    let wide = f64::from(*x);
+                    let want = 0.5 * wide * (1.0 + erf_f64(wide * std::f64::consts::FRAC_1_SQRT_2));
+                    let bound = 5e-8 + 1.2e-7 * want.abs();
+                    assert!(
+                        (f64::from(got) - want).abs() < bound,
+                        "{isa} {x}: {got} {want}"
+                    );
+                }
+            }
         }
     }
 }

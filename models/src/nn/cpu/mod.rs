@@ -1,6 +1,6 @@
 //! Fast kernels for f32 on CPUs, which the layers beside this module call.
 //!
-//! Each kernel is written once, against the vectors of [`simd`], and compiled for every instruction
+//! Each kernel is written once, against the vectors of `simd`, and compiled for every instruction
 //! set; [`Isa::current`] says at run time which one is used. The environment variable `TID3R_CPU`
 //! (`avx512`, `avx2` or `portable`) overrides it.
 //!
@@ -14,13 +14,28 @@
     reason = "vector instructions, inner loops without bounds checks, and shared output arrays"
 )]
 
+mod attention;
 pub(in crate::nn) mod conv;
+mod elementwise;
 mod gemm;
+mod host;
 mod isa;
+mod layer_norm;
+mod linear;
 mod math;
+mod peak;
+mod rope;
 mod scratch;
 mod shared;
 mod simd;
 
 pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
 pub use isa::Isa;
+pub use peak::measured_peak_flops;
+
+pub(super) use attention::attention;
+pub(super) use elementwise::activation;
+pub(super) use host::HostTensor;
+pub(super) use layer_norm::layer_norm;
+pub(super) use linear::linear;
+pub(super) use rope::rotate;

@@ -11,6 +11,13 @@ unsafe impl<T: Send> Send for Shared<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Shared<T> {}
 
+impl<T> Shared<T> {
+    /// The element `offset` further on.
+    pub(super) fn add(&self, offset: usize) -> *mut T {
+        self.0.wrapping_add(offset)
+    }
+}
+
 /// A new array of `len` numbers, all of which `fill` writes through the pointer that it gets.
 ///
 /// Unlike an array of zeros, its memory is touched first by the threads that write it.
@@ -22,7 +29,6 @@ unsafe impl<T: Send> Sync for Shared<T> {}
 /// # Safety
 ///
 /// `fill` writes every element unless it fails, and nothing beyond.
-#[allow(dead_code, reason = "for the layers")]
 pub(super) unsafe fn filled<E>(
     len: usize,
     fill: impl FnOnce(*mut f32) -> Result<(), E>,

@@ -91,7 +91,7 @@ impl Task for Block<'_> {
                 let b = self.b.skip(column / S::NR).data.as_ptr();
                 // SAFETY: by the contract of `Block::run`, panels have that depth; a tile is at most
                 // `MAX_TILE` numbers.
-                unsafe { simd.tile(self.depth, a, b, tile.0.as_mut_ptr()) };
+                unsafe { simd.tile(self.depth, self.columns - column, a, b, tile.0.as_mut_ptr()) };
                 // SAFETY: row and column are inside.
                 unsafe { self.finish(simd, &tile.0, row, column) };
             }
@@ -120,40 +120,21 @@ impl Block<'_> {
                     let to = self.c.add((row + i) * self.stride + at);
                     let mut x = simd.load(tile.as_ptr().add(i * S::NR + j));
                     if !self.first {
-                        x = simd.add(load(simd, to, count), x);
+                        x = simd.add(simd.load_up_to(to, count), x);
                     }
                     if self.last {
                         if let Some(bias) = self.bias {
-                            x = simd.add(x, load(simd, bias.as_ptr().add(at), count));
+                            x = simd.add(x, simd.load_up_to(bias.as_ptr().add(at), count));
                         }
                         x = activate(simd, self.activation, x);
                         if let Some(residual) = &self.residual {
                             let from = residual.row_pointer(row + i).add(at);
-                            x = simd.add(load(simd, from, count), x);
+                            x = simd.add(simd.load_up_to(from, count), x);
                         }
                     }
-                    if count == S::LANES {
-                        simd.store(to, x);
-                    } else {
-                        simd.store_part(to, count, x);
-                    }
+                    simd.store_up_to(to, count, x);
                 }
             }
-        }
-    }
-}
-
-/// # Safety
-///
-/// `count` numbers, at most a vector, can be read at `from`.
-#[inline(always)]
-unsafe fn load<S: Simd>(simd: S, from: *const f32, count: usize) -> S::V {
-    // SAFETY: as said.
-    unsafe {
-        if count == S::LANES {
-            simd.load(from)
-        } else {
-            simd.load_part(from, count)
         }
     }
 }

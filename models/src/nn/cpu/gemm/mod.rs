@@ -19,7 +19,6 @@ mod tests;
 
 use candle_core::{Result, bail};
 
-use super::Isa;
 use super::scratch::Scratch;
 use crate::nn::Activation;
 use block::{Block, Panels};
@@ -27,6 +26,7 @@ use pack::pack_rows;
 
 pub use matrix::{Factor, Matrix, MatrixMut};
 pub use pack::PackedFactor;
+pub(in crate::nn::cpu) use pack::pack_lines;
 pub use parallel::gemm;
 pub(in crate::nn::cpu) use parallel::gemm_into;
 

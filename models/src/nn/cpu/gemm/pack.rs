@@ -102,7 +102,6 @@ pub(super) fn pack_factor(
 ///
 /// If `to` is too short.
 pub(super) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f32]) {
-    assert!(to.len() >= matrix.rows().next_multiple_of(width) * matrix.columns());
     isa.run(Rows {
         from: matrix.row_pointer(0),
         stride: matrix.stride(),
@@ -113,7 +112,7 @@ pub(super) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f3
     });
 }
 
-/// Rows of numbers to be packed into panels of `width` rows. Missing rows of the last are zeros.
+/// Rows of numbers, which can be read, to be packed.
 struct Rows<'a> {
     from: *const f32,
     stride: usize,
@@ -128,42 +127,56 @@ impl Task for Rows<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { depth, width, .. } = self;
-        for first in (0..self.rows).step_by(width) {
-            let panel = self.to.as_mut_ptr().wrapping_add(first * depth);
-            for across in (0..width).step_by(S::LANES) {
-                let rows = (self.rows - first).saturating_sub(across).min(S::LANES);
-                let rows = rows.min(width - across);
-                let from = self.from.wrapping_add((first + across) * self.stride);
-                for start in (0..depth).step_by(S::LANES) {
-                    let count = S::LANES.min(depth - start);
-                    // SAFETY: `rows` rows from there are part of the matrix, and of each `count`
-                    // numbers.
-                    let mut block = [simd.splat(0.0); MAX_LANES];
-                    for (i, row) in block.iter_mut().enumerate().take(rows) {
-                        let from = from.wrapping_add(i * self.stride + start);
-                        *row = unsafe {
-                            if count == S::LANES {
-                                simd.load(from)
-                            } else {
-                                simd.load_part(from, count)
-                            }
-                        };
-                    }
-                    simd.transpose(&mut block);
-                    for (p, &column) in block.iter().enumerate().take(count) {
-                        let at = (start + p) * width + across;
-                        let to = panel.wrapping_add(at);
-                        // SAFETY: inside the panel, of `width * depth` numbers. A whole vector may
-                        // reach into numbers of the panel that are written later, if those follow.
-                        unsafe {
-                            if at + S::LANES <= width * depth && across + S::LANES <= width {
-                                simd.store(to, column);
-                            } else {
-                                simd.store_part(to, S::LANES.min(width - across), column);
-                            }
-                        }
-                    }
+        let (from, stride) = (self.from, self.stride);
+        let row = |i: usize| from.wrapping_add(i * stride);
+        // SAFETY: whoever makes `Rows` sees to it that they can be read.
+        unsafe { pack_lines(simd, row, self.rows, self.depth, self.width, self.to) };
+    }
+}
+
+/// Packs `rows` rows of `depth` numbers, which are where `row` says, into panels of `width` rows:
+/// column after column of each. Missing rows of the last panel are zeros.
+///
+/// # Panics
+///
+/// If `to` is too short.
+///
+/// # Safety
+///
+/// `depth` numbers can be read at each row.
+#[inline(always)]
+pub(in crate::nn::cpu) unsafe fn pack_lines<S: Simd>(
+    simd: S,
+    row: impl Fn(usize) -> *const f32,
+    rows: usize,
+    depth: usize,
+    width: usize,
+    to: &mut [f32],
+) {
+    assert!(to.len() >= rows.next_multiple_of(width) * depth);
+    for first in (0..rows).step_by(width) {
+        let panel = &mut to[first * depth..][..width * depth];
+        for across in (0..width).step_by(S::LANES) {
+            let lanes = S::LANES.min(width - across);
+            let some = (rows - first).saturating_sub(across).min(lanes);
+            for start in (0..depth).step_by(S::LANES) {
+                let count = S::LANES.min(depth - start);
+                let mut block = [simd.splat(0.0); MAX_LANES];
+                for (i, line) in block.iter_mut().enumerate().take(some) {
+                    // SAFETY: the caller lets `depth` numbers be read at the row.
+                    let from = unsafe { row(first + across + i).add(start) };
+                    // SAFETY: as above.
+                    *line = unsafe { simd.load_up_to(from, count) };
+                }
+                simd.transpose(&mut block);
+                for (p, &line) in block.iter().enumerate().take(count) {
+                    let at = (start + p) * width + across;
+                    // A whole vector may reach into lines of the panel that are written later, when
+                    // no other part of those lines is written before.
+                    let whole = lanes == S::LANES || across == 0 && at + S::LANES <= panel.len();
+                    let lanes = if whole { S::LANES } else { lanes };
+                    // SAFETY: that many numbers are inside of the panel.
+                    unsafe { simd.store_up_to(panel.as_mut_ptr().add(at), lanes, line) };
                 }
             }
         }

@@ -13,11 +13,12 @@ use crate::nn::cpu::shared::Shared;
 /// Numbers of `A` that are packed at a time: 32 MiB.
 const PACKED: usize = 8 << 20;
 
-/// Panels of `B` that a task packs together: as many as the second cache holds beside one of `A`.
-const GROUP: usize = 4;
+/// Panels of `B` that a task packs together, at most: 512 KiB with AVX-512. The more, the less often
+/// `A` is read, which is beyond the second cache.
+const GROUP: usize = 8;
 
-/// Rows that a task has at least, so that packing `B` costs little against using it.
-const ROWS: usize = 192;
+/// Rows that a task has at least, if there are as many: packing `B` costs little against using it.
+const ROWS: usize = 384;
 
 /// `C = activation(A B + bias) + residual` on all threads of the current pool.
 ///
@@ -105,19 +106,20 @@ struct Product<'a> {
 }
 
 impl Product<'_> {
-    /// Shares the product among threads: tasks are parts of the columns and, where those are few, of
-    /// the rows. A thread that is done takes another, so that one that is interrupted delays nobody.
+    /// Shares the product among threads: tasks are some rows and some columns, as many as leave each
+    /// thread several tasks. A thread that is done takes another, so that one that is interrupted delays nobody.
     fn run(&self) {
         let (mr, nr) = self.isa.tile();
         let panels = self.b.columns().div_ceil(nr);
         let threads = rayon::current_num_threads();
         let wanted = if threads == 1 { 1 } else { 6 * threads };
+        let most_down = (self.rows / ROWS).max(1);
         let mut group = GROUP;
-        while group > 1 && panels.div_ceil(group) < wanted {
+        while group > 1 && panels.div_ceil(group) * most_down < wanted {
             group /= 2;
         }
         let across = panels.div_ceil(group);
-        let down = wanted.div_ceil(across.max(1)).min(self.rows / ROWS).max(1);
+        let down = wanted.div_ceil(across.max(1)).min(most_down);
         let rows = self.rows.div_ceil(down).next_multiple_of(mr);
         let down = self.rows.div_ceil(rows);
         (0..across * down)
@@ -146,8 +148,7 @@ impl Product<'_> {
                 columns: columns.len(),
                 a: self.a.skip(rows.start / mr).at_depth(from),
                 b: Panels::new(&packed, nr, to - from),
-                // SAFETY: the first of the rows and columns of this part is inside of `C`.
-                c: unsafe { self.c.0.add(rows.start * self.stride + columns.start) },
+                c: self.c.add(rows.start * self.stride + columns.start),
                 stride: self.stride,
                 bias: self.epilogue.bias.map(|bias| &bias[columns.clone()]),
                 activation: self.epilogue.activation,

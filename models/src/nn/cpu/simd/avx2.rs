@@ -27,68 +27,53 @@ fn first(count: usize) -> __m256i {
     unsafe { _mm256_loadu_si256(MASKS.as_ptr().add(start).cast()) }
 }
 
-// SAFETY of all blocks below: `self` is proof of the instructions; what pointers must be is said at
-// the trait's functions.
+type V = __m256;
+
+/// Functions that are one instruction.
+macro_rules! as_intrinsics {
+    ($($name:ident($($argument:ident: $kind:ty),*) = $intrinsic:ident;)*) => {$(
+        #[inline(always)]
+        fn $name(self, $($argument: $kind),*) -> V {
+            // SAFETY: `self` is proof of the instruction.
+            unsafe { $intrinsic($($argument),*) }
+        }
+    )*};
+}
+
 impl Simd for Avx2 {
-    type V = __m256;
+    type V = V;
 
     const LANES: usize = 8;
     const MR: usize = 6;
     const NR: usize = 16;
 
-    #[inline(always)]
-    fn splat(self, x: f32) -> __m256 {
-        unsafe { _mm256_set1_ps(x) }
+    as_intrinsics! {
+        splat(x: f32) = _mm256_set1_ps;
+        add(a: V, b: V) = _mm256_add_ps;
+        sub(a: V, b: V) = _mm256_sub_ps;
+        mul(a: V, b: V) = _mm256_mul_ps;
+        fma(a: V, b: V, c: V) = _mm256_fmadd_ps;
+        fnma(a: V, b: V, c: V) = _mm256_fnmadd_ps;
+        max(a: V, b: V) = _mm256_max_ps;
+        min(a: V, b: V) = _mm256_min_ps;
     }
 
     #[inline(always)]
-    fn add(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_add_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn sub(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_sub_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn mul(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_mul_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn fma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
-        unsafe { _mm256_fmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn fnma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
-        unsafe { _mm256_fnmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn max(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_max_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn min(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_min_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn abs(self, a: __m256) -> __m256 {
+    fn abs(self, a: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm256_andnot_ps(_mm256_set1_ps(-0.0), a) }
     }
 
     #[inline(always)]
-    fn round(self, a: __m256) -> __m256 {
+    fn round(self, a: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(a) }
     }
 
     #[inline(always)]
-    fn scale(self, a: __m256, n: __m256) -> __m256 {
+    fn scale(self, a: V, n: V) -> V {
         // In two steps, since 2^n itself may be no normal number where the result is one.
+        // SAFETY: `self` is proof of the instructions.
         unsafe {
             let n = _mm256_cvtps_epi32(n);
             let half = _mm256_srai_epi32::<1>(n);
@@ -100,12 +85,14 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn if_less(self, a: __m256, b: __m256, then: __m256, otherwise: __m256) -> __m256 {
+    fn if_less(self, a: V, b: V, then: V, otherwise: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm256_blendv_ps(otherwise, then, _mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) }
     }
 
     #[inline(always)]
-    fn sum(self, a: __m256) -> f32 {
+    fn sum(self, a: V) -> f32 {
+        // SAFETY: `self` is proof of the instructions.
         unsafe {
             let four = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
             let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
@@ -114,7 +101,8 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn greatest(self, a: __m256) -> f32 {
+    fn greatest(self, a: V) -> f32 {
+        // SAFETY: `self` is proof of the instructions.
         unsafe {
             let four = _mm_max_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
             let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
@@ -123,27 +111,32 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    unsafe fn load(self, from: *const f32) -> __m256 {
+    unsafe fn load(self, from: *const f32) -> V {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm256_loadu_ps(from) }
     }
 
     #[inline(always)]
-    unsafe fn load_part(self, from: *const f32, count: usize) -> __m256 {
+    unsafe fn load_part(self, from: *const f32, count: usize) -> V {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm256_maskload_ps(from, first(count)) }
     }
 
     #[inline(always)]
-    unsafe fn store(self, to: *mut f32, a: __m256) {
+    unsafe fn store(self, to: *mut f32, a: V) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm256_storeu_ps(to, a) }
     }
 
     #[inline(always)]
-    unsafe fn store_part(self, to: *mut f32, count: usize, a: __m256) {
+    unsafe fn store_part(self, to: *mut f32, count: usize, a: V) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm256_maskstore_ps(to, first(count), a) }
     }
 
     #[inline(always)]
-    fn transpose(self, rows: &mut [__m256; MAX_LANES]) {
+    fn transpose(self, rows: &mut [V; MAX_LANES]) {
+        // SAFETY: `self` is proof of the instructions.
         unsafe {
             let mut t = *rows;
             for r in [0, 4] {
@@ -168,7 +161,20 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    unsafe fn tile(self, depth: usize, a: *const f32, b: *const f32, out: *mut f32) {
-        unsafe { tile::<Self, 6, 2>(self, depth, a, b, out) }
+    unsafe fn tile(
+        self,
+        depth: usize,
+        columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile::<Self, 6, 1>(self, depth, a, b, out),
+                false => tile::<Self, 6, 2>(self, depth, a, b, out),
+            }
+        }
     }
 }

@@ -23,109 +23,97 @@ fn first(count: usize) -> __mmask16 {
     ((1_u32 << count) - 1) as __mmask16
 }
 
-// SAFETY of all blocks below: `self` is proof of the instructions; what pointers must be is said at
-// the trait's functions.
+type V = __m512;
+
+/// Functions that are one instruction.
+macro_rules! as_intrinsics {
+    ($($name:ident($($argument:ident: $kind:ty),*) = $intrinsic:ident;)*) => {$(
+        #[inline(always)]
+        fn $name(self, $($argument: $kind),*) -> V {
+            // SAFETY: `self` is proof of the instruction.
+            unsafe { $intrinsic($($argument),*) }
+        }
+    )*};
+}
+
 impl Simd for Avx512 {
-    type V = __m512;
+    type V = V;
 
     const LANES: usize = 16;
     const MR: usize = 14;
     const NR: usize = 32;
 
-    #[inline(always)]
-    fn splat(self, x: f32) -> __m512 {
-        unsafe { _mm512_set1_ps(x) }
+    as_intrinsics! {
+        splat(x: f32) = _mm512_set1_ps;
+        add(a: V, b: V) = _mm512_add_ps;
+        sub(a: V, b: V) = _mm512_sub_ps;
+        mul(a: V, b: V) = _mm512_mul_ps;
+        fma(a: V, b: V, c: V) = _mm512_fmadd_ps;
+        fnma(a: V, b: V, c: V) = _mm512_fnmadd_ps;
+        max(a: V, b: V) = _mm512_max_ps;
+        min(a: V, b: V) = _mm512_min_ps;
+        abs(a: V) = _mm512_abs_ps;
     }
 
     #[inline(always)]
-    fn add(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_add_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn sub(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_sub_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn mul(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_mul_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn fma(self, a: __m512, b: __m512, c: __m512) -> __m512 {
-        unsafe { _mm512_fmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn fnma(self, a: __m512, b: __m512, c: __m512) -> __m512 {
-        unsafe { _mm512_fnmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn max(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_max_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn min(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_min_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn abs(self, a: __m512) -> __m512 {
-        unsafe { _mm512_abs_ps(a) }
-    }
-
-    #[inline(always)]
-    fn round(self, a: __m512) -> __m512 {
+    fn round(self, a: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(a) }
     }
 
     #[inline(always)]
-    fn scale(self, a: __m512, n: __m512) -> __m512 {
+    fn scale(self, a: V, n: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm512_scalef_ps(a, n) }
     }
 
     #[inline(always)]
-    fn if_less(self, a: __m512, b: __m512, then: __m512, otherwise: __m512) -> __m512 {
+    fn if_less(self, a: V, b: V, then: V, otherwise: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b), otherwise, then) }
     }
 
     #[inline(always)]
-    fn sum(self, a: __m512) -> f32 {
+    fn sum(self, a: V) -> f32 {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm512_reduce_add_ps(a) }
     }
 
     #[inline(always)]
-    fn greatest(self, a: __m512) -> f32 {
+    fn greatest(self, a: V) -> f32 {
+        // SAFETY: `self` is proof of the instructions.
         unsafe { _mm512_reduce_max_ps(a) }
     }
 
     #[inline(always)]
-    unsafe fn load(self, from: *const f32) -> __m512 {
+    unsafe fn load(self, from: *const f32) -> V {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm512_loadu_ps(from) }
     }
 
     #[inline(always)]
-    unsafe fn load_part(self, from: *const f32, count: usize) -> __m512 {
+    unsafe fn load_part(self, from: *const f32, count: usize) -> V {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm512_maskz_loadu_ps(first(count), from) }
     }
 
     #[inline(always)]
-    unsafe fn store(self, to: *mut f32, a: __m512) {
+    unsafe fn store(self, to: *mut f32, a: V) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm512_storeu_ps(to, a) }
     }
 
     #[inline(always)]
-    unsafe fn store_part(self, to: *mut f32, count: usize, a: __m512) {
+    unsafe fn store_part(self, to: *mut f32, count: usize, a: V) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm512_mask_storeu_ps(to, first(count), a) }
     }
 
     #[inline(always)]
-    fn transpose(self, rows: &mut [__m512; MAX_LANES]) {
+    fn transpose(self, rows: &mut [V; MAX_LANES]) {
         // Within groups of four rows, 4x4 blocks are transposed in each quarter of the registers;
         // then the quarters change places.
+        // SAFETY: `self` is proof of the instructions.
         unsafe {
             let mut t = *rows;
             for g in 0..4 {
@@ -162,7 +150,20 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    unsafe fn tile(self, depth: usize, a: *const f32, b: *const f32, out: *mut f32) {
-        unsafe { tile::<Self, 14, 2>(self, depth, a, b, out) }
+    unsafe fn tile(
+        self,
+        depth: usize,
+        columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile::<Self, 14, 1>(self, depth, a, b, out),
+                false => tile::<Self, 14, 2>(self, depth, a, b, out),
+            }
+        }
     }
 }

@@ -83,15 +83,48 @@ pub(super) trait Simd: Copy {
     fn transpose(self, rows: &mut [Self::V; MAX_LANES]);
 
     /// `out[i][j] = sum over p < depth of a[p][i] b[p][j]`, where rows of `a` have [`Self::MR`]
-    /// numbers, those of `b` and `out` [`Self::NR`]. Products are added in the order of `p`.
+    /// numbers, those of `b` and `out` [`Self::NR`]. Products are added in the order of `p`. Of the
+    /// columns, the first `columns` (at least) are computed.
     ///
     /// # Safety
     ///
     /// `a` and `b` can be read and `out` written to those sizes.
-    unsafe fn tile(self, depth: usize, a: *const f32, b: *const f32, out: *mut f32);
+    unsafe fn tile(self, depth: usize, columns: usize, a: *const f32, b: *const f32, out: *mut f32);
+
+    /// The first `count` lanes from memory, zeros in the others if it is less than a vector.
+    ///
+    /// # Safety
+    ///
+    /// `count` numbers, at most [`Self::LANES`], can be read at `from`.
+    #[inline(always)]
+    unsafe fn load_up_to(self, from: *const f32, count: usize) -> Self::V {
+        // SAFETY: as said.
+        unsafe {
+            match count == Self::LANES {
+                true => self.load(from),
+                false => self.load_part(from, count),
+            }
+        }
+    }
+
+    /// Writes the first `count` lanes.
+    ///
+    /// # Safety
+    ///
+    /// `count` numbers, at most [`Self::LANES`], can be written at `to`.
+    #[inline(always)]
+    unsafe fn store_up_to(self, to: *mut f32, count: usize, a: Self::V) {
+        // SAFETY: as said.
+        unsafe {
+            match count == Self::LANES {
+                true => self.store(to, a),
+                false => self.store_part(to, count, a),
+            }
+        }
+    }
 }
 
-/// [`Simd::tile`] for `MR` rows and `NV` vectors: the sums are `MR * NV` registers.
+/// [`Simd::tile`] for the first `NV` vectors of the columns: the sums are `MR * NV` registers.
 ///
 /// # Safety
 ///
@@ -108,7 +141,7 @@ unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
     for _ in 0..depth {
         let mut columns = [simd.splat(0.0); NV];
         for (j, column) in columns.iter_mut().enumerate() {
-            // SAFETY: the caller lets `depth * NV * LANES` numbers be read at `b`.
+            // SAFETY: the caller lets `depth * NR` numbers be read at `b`.
             *column = unsafe { simd.load(b.add(j * S::LANES)) };
         }
         for (i, row) in sums.iter_mut().enumerate() {
@@ -119,12 +152,12 @@ unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
             }
         }
         // SAFETY: at most one past the end, after the last step.
-        (a, b) = unsafe { (a.add(MR), b.add(NV * S::LANES)) };
+        (a, b) = unsafe { (a.add(S::MR), b.add(S::NR)) };
     }
     for (i, row) in sums.iter().enumerate() {
         for (j, &sum) in row.iter().enumerate() {
-            // SAFETY: the caller lets `MR * NV * LANES` numbers be written at `out`.
-            unsafe { simd.store(out.add((i * NV + j) * S::LANES), sum) };
+            // SAFETY: the caller lets `MR * NR` numbers be written at `out`.
+            unsafe { simd.store(out.add(i * S::NR + j * S::LANES), sum) };
         }
     }
 }

@@ -15,7 +15,6 @@ fn zip(a: V, b: V, of: impl Fn(f32, f32) -> f32) -> V {
     from_fn(|i| of(a[i], b[i]))
 }
 
-// SAFETY of all blocks below: said at the trait's functions.
 impl Simd for Portable {
     type V = V;
 
@@ -111,6 +110,7 @@ impl Simd for Portable {
 
     #[inline(always)]
     unsafe fn load(self, from: *const f32) -> V {
+        // SAFETY: as the caller promises.
         unsafe { from.cast::<V>().read_unaligned() }
     }
 
@@ -118,6 +118,7 @@ impl Simd for Portable {
     unsafe fn load_part(self, from: *const f32, count: usize) -> V {
         from_fn(|i| {
             if i < count {
+                // SAFETY: as the caller promises.
                 unsafe { *from.add(i) }
             } else {
                 0.0
@@ -127,12 +128,14 @@ impl Simd for Portable {
 
     #[inline(always)]
     unsafe fn store(self, to: *mut f32, a: V) {
+        // SAFETY: as the caller promises.
         unsafe { to.cast::<V>().write_unaligned(a) }
     }
 
     #[inline(always)]
     unsafe fn store_part(self, to: *mut f32, count: usize, a: V) {
         for (i, &x) in a.iter().enumerate().take(count) {
+            // SAFETY: as the caller promises.
             unsafe { to.add(i).write(x) };
         }
     }
@@ -146,7 +149,15 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    unsafe fn tile(self, depth: usize, a: *const f32, b: *const f32, out: *mut f32) {
+    unsafe fn tile(
+        self,
+        depth: usize,
+        _columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: as the caller promises.
         unsafe { tile::<Self, 4, 1>(self, depth, a, b, out) }
     }
 }
