@@ -146,12 +146,12 @@ mod tests {
     #[test]
     fn large_means_and_many_pixels_cost_no_digits() {
         // Exact in f32; the result is plus or minus one. Sums in f32 would lose the difference.
-        let x = |i: usize| 65_536.0 + if i / 2 % 2 == 0 { 0.125 } else { -0.125 };
+        let sign = |i: usize| if (i / 2).is_multiple_of(2) { 1.0 } else { -1.0 };
+        let x = |i: usize| 65_536.0 + 0.125 * sign(i);
         let norm = norm([1.0; 2], [0.0; 2], 1e-9);
         let got = forward(&norm, (2, 64, 80, 2), (0..2 * 64 * 80 * 2).map(x).collect());
         for (i, got) in got.into_iter().enumerate() {
-            let want = if i / 2 % 2 == 0 { 1.0 } else { -1.0 };
-            assert!((got - want).abs() < 1e-6, "{got} {want}");
+            assert!((got - sign(i)).abs() < 1e-6, "{got} {}", sign(i));
         }
     }
 
