@@ -23,8 +23,8 @@ pub enum Precision {
     /// As exact as sums of f32 are, that is, up to 1e-6; for 5x5 kernels up to 3e-6.
     #[default]
     Exact,
-    /// Fewer multiplications: up to 3e-6 for 3x3 kernels, up to 1e-4 for 5x5 kernels. Others are
-    /// exact.
+    /// Fewer multiplications: up to 3e-6 for 3x3 kernels, up to 1e-4 for 5x5 kernels. Others, and
+    /// layers of more than 2^20 pairs of an input and an output, are exact.
     Fast,
 }
 

@@ -73,7 +73,11 @@ impl Convolution {
     pub(in crate::nn) fn new(isa: Isa, filter: Filter<'_>, fast: bool) -> Result<Self> {
         // Below, what is saved goes into transforms.
         const CHANNELS_FOR_WINOGRAD: usize = 32;
-        let scheme = match (filter.kernel, fast) {
+        // Above (inputs times outputs), large tiles are slower than small ones where such layers
+        // occur, on small images: reading four times the weights takes longer than multiplying.
+        const WEIGHTS_FOR_LARGE_TILES: usize = 1 << 20;
+        let large = fast && filter.inputs * filter.outputs <= WEIGHTS_FOR_LARGE_TILES;
+        let scheme = match (filter.kernel, large) {
             (3, false) => Some(Scheme::F23),
             (3, true) => Some(Scheme::F43),
             (5, false) => Some(Scheme::F25),
