@@ -21,7 +21,7 @@ mod rope;
 pub use activation::Activation;
 pub use attention::{CrossAttention, Memory, SelfAttention, attention};
 pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
-pub use conv::{BatchNorm2d, Conv2d, Precision};
+pub use conv::{BatchNorm2d, Conv2d, Precision, convolve_in_turn};
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use mlp::Mlp;

@@ -6,11 +6,11 @@ mod tests;
 
 use std::sync::{Arc, OnceLock};
 
-use candle_core::{Device, Result, Storage, Tensor, bail};
+use candle_core::{Device, Error, Result, Tensor, bail};
 
 use super::Activation;
-use super::cpu::Isa;
-use super::cpu::conv::{Convolution, Epilogue, Filter, Images};
+use super::cpu::conv::{Convolution, Epilogue, Filter, Images, Stage, in_turn};
+use super::cpu::{HostTensor, Isa};
 use crate::{Parameter, Weights};
 
 pub use batch_norm::BatchNorm2d;
@@ -20,10 +20,11 @@ pub use batch_norm::BatchNorm2d;
 /// Errors are relative, in the L2 norm of all outputs, against sums in f64.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
-    /// As exact as sums of f32 are: 2e-6.
+    /// As exact as sums of f32 are, that is, up to 1e-6; for 5x5 kernels up to 3e-6.
     #[default]
     Exact,
-    /// Fewer multiplications: 2e-5.
+    /// Fewer multiplications: up to 3e-6 for 3x3 kernels, up to 1e-4 for 5x5 kernels. Others, and
+    /// layers of more than 2^20 pairs of an input and an output, are exact.
     Fast,
 }
 
@@ -33,7 +34,7 @@ pub enum Precision {
 /// On a CPU, weights are laid out for the kernel that suits them when [`Self::forward`] is first
 /// called, and shared by clones. Beside the weights as they were read, that takes as much memory as
 /// they do, or, where Winograd's algorithm is used (3x3 and 5x5 kernels, at least 32 channels),
-/// times 16/9 (exact) or 4 (fast) for 3x3, times 36/25 or 64/25 for 5x5.
+/// times 16/9 (exact) or 4 (fast) for 3x3, times 36/25 or 4 for 5x5.
 #[derive(Clone)]
 pub struct Conv2d {
     /// (outputs, inputs, kernel, kernel).
@@ -128,56 +129,81 @@ impl Conv2d {
     }
 
     fn run(&self, x: &Tensor, activation: Activation, residual: Option<&Tensor>) -> Result<Tensor> {
-        let (batch, height, width, channels) = x.dims4()?;
-        let &[outputs, inputs, kernel, _] = self.weight.shape() else {
-            bail!("weights of a convolution have four dimensions");
-        };
-        if channels != inputs {
-            bail!("{inputs} channels are wanted, got {:?}", x.shape());
-        }
-        let shape = (batch, height, width, outputs);
+        let images = self.images(x)?;
+        let shape = images.shape(self.outputs());
         if let Some(residual) = residual
             && residual.dims4()? != shape
         {
             bail!("{:?} cannot be added to {shape:?}", residual.shape());
         }
-        let (Some(weight), Some(bias)) = (self.weight.host(), self.bias.host()) else {
+        if !self.is_on_host() {
             let y = activation.apply(&self.plain(x)?)?;
             return residual.map_or(Ok(y.clone()), |residual| residual + &y);
-        };
-        let filter = Filter {
-            values: weight,
-            outputs,
-            inputs,
-            kernel,
-        };
-        let images = Images {
+        }
+        let mut out = vec![0.0; images.pixels() * self.outputs()];
+        with_values(x, |x| match residual {
+            None => self.stage(activation, None)?.run(images, x, &mut out),
+            Some(residual) => with_values(residual, |residual| {
+                let stage = self.stage(activation, Some(residual))?;
+                stage.run(images, x, &mut out)
+            }),
+        })?;
+        Tensor::from_vec(out, shape, &Device::Cpu)
+    }
+
+    fn inputs(&self) -> usize {
+        self.weight.shape()[1]
+    }
+
+    fn outputs(&self) -> usize {
+        self.weight.shape()[0]
+    }
+
+    fn is_on_host(&self) -> bool {
+        self.weight.host().is_some() && self.bias.host().is_some()
+    }
+
+    /// The sizes of `x`, whose channels must be the inputs.
+    fn images(&self, x: &Tensor) -> Result<Images> {
+        let (batch, height, width, channels) = x.dims4()?;
+        if channels != self.inputs() {
+            bail!("{} channels are wanted, got {:?}", self.inputs(), x.shape());
+        }
+        Ok(Images {
             batch,
             height,
             width,
+        })
+    }
+
+    /// What is to be done on a CPU; weights are laid out the first time.
+    fn stage<'a>(
+        &'a self,
+        activation: Activation,
+        residual: Option<&'a [f32]>,
+    ) -> Result<Stage<'a>> {
+        let (Some(values), Some(bias)) = (self.weight.host(), self.bias.host()) else {
+            bail!("the weights of this convolution are not on the CPU");
         };
-        let prepared = self.prepared.get_or_init(|| {
-            Isa::current()
-                .and_then(|isa| Convolution::new(isa, filter, self.precision == Precision::Fast))
-                .map_err(|error| error.to_string())
-        });
-        let convolution = (prepared.as_ref()).map_err(|e| candle_core::Error::Msg(e.clone()))?;
-        let mut out = vec![0.0; images.pixels() * outputs];
-        with_values(x, |x| {
-            let mut finish = |residual: Option<&[f32]>| {
-                let epilogue = Epilogue {
-                    bias,
-                    activation,
-                    residual,
-                };
-                convolution.run(images, x, epilogue, &mut out)
+        let prepare = || {
+            let filter = Filter {
+                values,
+                outputs: self.outputs(),
+                inputs: self.inputs(),
+                kernel: self.weight.shape()[2],
             };
-            match residual {
-                None => finish(None),
-                Some(residual) => with_values(residual, |residual| finish(Some(residual))),
-            }
-        })?;
-        Tensor::from_vec(out, shape, &Device::Cpu)
+            Convolution::new(Isa::current()?, filter, self.precision == Precision::Fast)
+        };
+        let prepared = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
+        Ok(Stage {
+            convolution: prepared.as_ref().map_err(|e| Error::Msg(e.clone()))?,
+            inputs: self.inputs(),
+            epilogue: Epilogue {
+                bias,
+                activation,
+                residual,
+            },
+        })
     }
 
     /// The convolution by candle's own operations.
@@ -192,16 +218,44 @@ impl Conv2d {
     }
 }
 
+/// Several convolutions, each followed by its activation, on the result of the one before; `x` is
+/// (batch, height, width, inputs of the first), the result (batch, height, width, outputs of the
+/// last).
+///
+/// The same as [`Conv2d::forward`] of each in turn. But on a CPU, images are processed one by one,
+/// and what lies between two layers in memory that is kept for the next call: that is faster than
+/// fresh memory, and does not grow with the batch.
+///
+/// # Errors
+///
+/// If there are no layers, or `x` or the inputs of a layer do not fit.
+pub fn convolve_in_turn(layers: &[(Conv2d, Activation)], x: &Tensor) -> Result<Tensor> {
+    let (Some((first, _)), Some((last, _))) = (layers.first(), layers.last()) else {
+        bail!("there are no convolutions");
+    };
+    for pair in layers.windows(2) {
+        let (outputs, inputs) = (pair[0].0.outputs(), pair[1].0.inputs());
+        if outputs != inputs {
+            bail!("a convolution of {inputs} channels cannot follow one to {outputs}");
+        }
+    }
+    let images = first.images(x)?;
+    if !layers.iter().all(|(conv, _)| conv.is_on_host()) {
+        return (layers.iter()).try_fold(x.clone(), |x, (conv, activation)| {
+            conv.forward(&x, *activation)
+        });
+    }
+    let stages = (layers.iter())
+        .map(|(conv, activation)| conv.stage(*activation, None))
+        .collect::<Result<Vec<_>>>()?;
+    let mut out = vec![0.0; images.pixels() * last.outputs()];
+    with_values(x, |x| in_turn(&stages, images, x, &mut out))?;
+    Tensor::from_vec(out, images.shape(last.outputs()), &Device::Cpu)
+}
+
 /// Calls `with` on the numbers of `x`, row-major.
 fn with_values<T>(x: &Tensor, with: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
     let x = x.contiguous()?;
-    let (storage, layout) = x.storage_and_layout();
-    let Storage::Cpu(storage) = &*storage else {
-        bail!("a convolution with weights on the CPU got a tensor on another device");
-    };
-    let values = storage.as_slice::<f32>()?;
-    match layout.contiguous_offsets() {
-        Some((start, end)) => with(&values[start..end]),
-        None => bail!("a contiguous tensor is not contiguous"),
-    }
+    let host = HostTensor::new(&x)?;
+    with(&host.data()?[..x.elem_count()])
 }

@@ -9,6 +9,7 @@
 mod epilogue;
 mod gathered;
 mod shifted;
+mod stage;
 #[cfg(test)]
 mod tests;
 mod winograd;
@@ -16,6 +17,7 @@ mod winograd;
 pub(in crate::nn) use epilogue::Epilogue;
 use gathered::Gathered;
 use shifted::Shifted;
+pub(in crate::nn) use stage::{Stage, in_turn};
 use winograd::{Scheme, Winograd};
 
 use candle_core::Result;
@@ -52,11 +54,16 @@ impl Images {
     pub(in crate::nn) fn pixels(self) -> usize {
         self.batch * self.height * self.width
     }
+
+    /// Of a tensor of these images.
+    pub(in crate::nn) fn shape(self, channels: usize) -> (usize, usize, usize, usize) {
+        (self.batch, self.height, self.width, channels)
+    }
 }
 
 /// A convolution with its weights laid out for one way of computing it.
 pub(in crate::nn) enum Convolution {
-    Winograd(Winograd),
+    Winograd(Box<Winograd>),
     Gathered(Gathered),
     Shifted(Shifted),
 }
@@ -66,16 +73,22 @@ impl Convolution {
     pub(in crate::nn) fn new(isa: Isa, filter: Filter<'_>, fast: bool) -> Result<Self> {
         // Below, what is saved goes into transforms.
         const CHANNELS_FOR_WINOGRAD: usize = 32;
-        let scheme = match (filter.kernel, fast) {
+        // Above (inputs times outputs), large tiles are slower than small ones where such layers
+        // occur, on small images: reading four times the weights takes longer than multiplying.
+        const WEIGHTS_FOR_LARGE_TILES: usize = 1 << 20;
+        let large = fast && filter.inputs * filter.outputs <= WEIGHTS_FOR_LARGE_TILES;
+        let scheme = match (filter.kernel, large) {
             (3, false) => Some(Scheme::F23),
             (3, true) => Some(Scheme::F43),
             (5, false) => Some(Scheme::F25),
-            (5, true) => Some(Scheme::F45),
+            (5, true) => Some(Scheme::F65),
             _ => None,
         };
         let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;
         match scheme {
-            Some(scheme) if many => Winograd::new(isa, filter, scheme).map(Self::Winograd),
+            Some(scheme) if many => {
+                Winograd::new(isa, filter, scheme).map(|way| Self::Winograd(Box::new(way)))
+            }
             _ if Shifted::pays(isa, filter) => Shifted::new(isa, filter).map(Self::Shifted),
             _ => Gathered::new(isa, filter).map(Self::Gathered),
         }
@@ -83,7 +96,11 @@ impl Convolution {
 
     /// The convolution of `x`, which has `images.pixels()` times the inputs, finished by `epilogue`,
     /// into `out`, which has as many times the outputs.
-    pub(in crate::nn) fn run(
+    ///
+    /// # Errors
+    ///
+    /// If these are not as many.
+    fn run(
         &self,
         images: Images,
         x: &[f32],

@@ -137,18 +137,18 @@ fn block<S: Simd, const N: usize>(
     let mut half = [[simd.splat(0.0); N]; N];
     for j in 0..N {
         let mut column = [simd.splat(0.0); N];
-        for i in 0..N {
-            column[i] = load(window[i][j].as_ptr());
+        for (x, row) in column.iter_mut().zip(window) {
+            *x = load(row[j].as_ptr());
         }
         let column = transform.data(simd, column);
-        for i in 0..N {
-            half[i][j] = column[i];
+        for (row, &x) in half.iter_mut().zip(&column) {
+            row[j] = x;
         }
     }
     for (row, planes) in half.into_iter().zip(planes.chunks_exact_mut(N)) {
         let row = transform.data(simd, row);
-        for j in 0..N {
-            store(planes[j].as_mut_ptr(), row[j]);
+        for (plane, x) in planes.iter_mut().zip(row) {
+            store(plane.as_mut_ptr(), x);
         }
     }
 }

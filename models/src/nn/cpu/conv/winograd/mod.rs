@@ -2,8 +2,8 @@
 //!
 //! The image is cut into tiles of `m` x `m` outputs. The `n` x `n` data of a tile are transformed,
 //! multiplied with the transformed filters (a product of matrices for each of the `n^2` points, tiles
-//! x inputs x outputs), and transformed back. F(4x4, 5x5) multiplies 64 times where the definition
-//! multiplies 400 times, F(4x4, 3x3) 36 times for 144. The filters take `n^2 / k^2` times their
+//! x inputs x outputs), and transformed back. F(6x6, 5x5) multiplies 100 times where the definition
+//! multiplies 900 times, F(4x4, 3x3) 36 times for 144. The filters take `n^2 / k^2` times their
 //! memory.
 //!
 //! Tiles are processed in groups. A group's transformed data and products stay in the last level of
@@ -95,7 +95,7 @@ impl Winograd {
             (4, 2) => self.run_sized::<4, 2>(images, x, epilogue, out),
             (6, 2) => self.run_sized::<6, 2>(images, x, epilogue, out),
             (6, 4) => self.run_sized::<6, 4>(images, x, epilogue, out),
-            (8, 4) => self.run_sized::<8, 4>(images, x, epilogue, out),
+            (10, 6) => self.run_sized::<10, 6>(images, x, epilogue, out),
             sizes => unreachable!("no scheme has these sizes: {sizes:?}"),
         }
     }

@@ -147,12 +147,12 @@ fn block<S: Simd, const N: usize, const M: usize>(
     let mut half = [[simd.splat(0.0); N]; M];
     for j in 0..N {
         let mut column = [simd.splat(0.0); N];
-        for i in 0..N {
-            column[i] = load(i * N + j);
+        for (i, product) in column.iter_mut().enumerate() {
+            *product = load(i * N + j);
         }
         let column: [S::V; M] = transform.outputs(simd, column);
-        for i in 0..M {
-            half[i][j] = column[i];
+        for (row, &y) in half.iter_mut().zip(&column) {
+            row[j] = y;
         }
     }
     for (row, out) in half.into_iter().zip(rows) {

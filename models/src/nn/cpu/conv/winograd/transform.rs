@@ -4,7 +4,9 @@ use super::points::Scheme;
 use crate::nn::cpu::simd::Simd;
 
 /// The most pairs of points.
-const PAIRS: usize = 3;
+const PAIRS: usize = 4;
+/// The most outputs.
+const OUTPUTS: usize = 6;
 
 /// A [`Scheme`]'s matrices, folded: rows of a pair of points `p` and `-p` are `even + odd` and
 /// `even - odd`, where one has only the even columns and the other only the odd ones. That halves the
@@ -20,19 +22,19 @@ pub(super) struct Transform {
     /// For each pair, columns 1, 3, ..
     odd: [[f32; PAIRS]; PAIRS],
     /// For each pair, the factors of its products in each output.
-    powers: [[f32; 4]; PAIRS],
+    powers: [[f32; OUTPUTS]; PAIRS],
 }
 
 impl Transform {
     pub(super) fn new(scheme: Scheme) -> Self {
         let (data, products) = (scheme.of_data(), scheme.of_products());
-        let (n, m) = (scheme.products(), scheme.outputs);
+        let n = scheme.products();
         let mut transform = Self {
             zero: [0.0; PAIRS + 1],
             infinity: [0.0; PAIRS + 1],
             even: [[0.0; PAIRS]; PAIRS],
             odd: [[0.0; PAIRS]; PAIRS],
-            powers: [[0.0; 4]; PAIRS],
+            powers: [[0.0; OUTPUTS]; PAIRS],
         };
         for k in 0..n / 2 {
             transform.zero[k] = data[0][2 * k] as f32;
@@ -44,8 +46,8 @@ impl Transform {
                 transform.even[pair][k] = data[plus][2 * k + 2] as f32;
                 transform.odd[pair][k] = data[plus][2 * k + 1] as f32;
             }
-            for i in 0..m {
-                transform.powers[pair][i] = products[plus][i] as f32;
+            for (power, &product) in transform.powers[pair].iter_mut().zip(&products[plus]) {
+                *power = product as f32;
             }
         }
         transform
@@ -126,6 +128,6 @@ mod tests {
         check::<4, 2>(Scheme::F23);
         check::<6, 4>(Scheme::F43);
         check::<6, 2>(Scheme::F25);
-        check::<8, 4>(Scheme::F45);
+        check::<10, 6>(Scheme::F65);
     }
 }

@@ -1,0 +1,83 @@
+//! Convolutions one after the other.
+
+use candle_core::{Result, bail};
+
+use super::{Convolution, Epilogue, Images};
+use crate::nn::cpu::scratch::Scratch;
+
+/// A convolution and what is done to its outputs.
+pub(in crate::nn) struct Stage<'a> {
+    pub(in crate::nn) convolution: &'a Convolution,
+    pub(in crate::nn) inputs: usize,
+    pub(in crate::nn) epilogue: Epilogue<'a>,
+}
+
+impl Stage<'_> {
+    /// Of `x`, which has `images.pixels()` times the inputs, into `out`, which has as many times the
+    /// outputs.
+    ///
+    /// # Errors
+    ///
+    /// If the sizes do not fit each other.
+    pub(in crate::nn) fn run(&self, images: Images, x: &[f32], out: &mut [f32]) -> Result<()> {
+        let (pixels, outputs) = (images.pixels(), self.epilogue.bias.len());
+        let residual = self.epilogue.residual.map_or(out.len(), <[f32]>::len);
+        if (x.len(), out.len()) != (pixels * self.inputs, pixels * outputs) || residual != out.len()
+        {
+            bail!(
+                "{pixels} pixels of {} channels to {outputs} are not {} numbers to {}",
+                self.inputs,
+                x.len(),
+                out.len()
+            );
+        }
+        self.convolution.run(images, x, self.epilogue, out)
+    }
+}
+
+/// All `stages`, each on the outputs of the one before; `x` and `out` as for [`Stage::run`] of the
+/// first and the last.
+///
+/// Images are processed one by one, so that what lies between stages, in two buffers that are kept
+/// for the next call, does not grow with their number.
+///
+/// # Errors
+///
+/// As [`Stage::run`].
+pub(in crate::nn) fn in_turn(
+    stages: &[Stage<'_>],
+    images: Images,
+    x: &[f32],
+    out: &mut [f32],
+) -> Result<()> {
+    let [between @ .., last] = stages else {
+        bail!("there are no convolutions");
+    };
+    let one = Images { batch: 1, ..images };
+    let size = |stage: &Stage<'_>| one.pixels() * stage.epilogue.bias.len();
+    let largest = between.iter().map(size).max().unwrap_or(0);
+    let mut buffers = [Scratch::take(largest), Scratch::take(largest)];
+    let (from, to) = (one.pixels() * stages[0].inputs, size(last));
+    if (x.len(), out.len()) != (images.batch * from, images.batch * to) {
+        bail!(
+            "{} numbers and {} are not those of {images:?}",
+            x.len(),
+            out.len()
+        );
+    }
+    for image in 0..images.batch {
+        let x = &x[image * from..][..from];
+        let out = &mut out[image * to..][..to];
+        let [current, next] = &mut buffers;
+        let (mut current, mut next) = (current, next);
+        let mut filled = None;
+        for stage in between {
+            let x = filled.map_or(x, |count| &current[..count]);
+            stage.run(one, x, &mut next[..size(stage)])?;
+            filled = Some(size(stage));
+            std::mem::swap(&mut current, &mut next);
+        }
+        last.run(one, filled.map_or(x, |count| &current[..count]), out)?;
+    }
+    Ok(())
+}
