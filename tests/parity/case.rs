@@ -1,6 +1,6 @@
 //! One recorded case.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use candle_core::{Device, Tensor, safetensors};
 use serde::{Deserialize, de::DeserializeOwned};
 use serde_json::Value;
@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 use tid3r_models::Weights;
-use tid3r_weights_convert::synth;
+use tid3r_weights_convert::{ConvertOptions, WEIGHTS_FILE, convert, synth};
 
 /// One recorded case.
 pub(crate) struct Case {
@@ -86,14 +86,24 @@ impl Case {
         self.file.tolerance.max_relative_l2
     }
 
-    /// The weights, synthetic ones whatever their names.
+    /// The weights: synthetic ones whatever their names, or those of a checkpoint, converted.
     pub(crate) fn weights(&self) -> Result<Weights> {
         match &self.file.weights {
             &WeightsOf::SyntheticSeed(seed) => Ok(Weights::from_fn(
                 move |name, shape| synth::tensor(name, shape, seed),
                 &Device::Cpu,
             )),
-            WeightsOf::File(name) => bail!("{}", self.folder.join(name).display()),
+            WeightsOf::File(name) => {
+                let folder = tempfile::tempdir()?;
+                let source = self.folder.join(name);
+                let options = ConvertOptions::default();
+                convert(&source, folder.path(), &options, &mut |_| ())?;
+                // The mapping outlives the file's name.
+                Ok(Weights::open(
+                    &folder.path().join(WEIGHTS_FILE),
+                    &Device::Cpu,
+                )?)
+            }
         }
     }
 

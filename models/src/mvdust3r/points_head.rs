@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{Config, ExpMode, Observer, PatchGrid};
 use crate::Weights;
-use crate::nn::{Activation, BatchNorm2d, Conv2d, Linear, Precision};
+use crate::nn::{Activation, BatchNorm2d, Conv2d, Linear, Precision, convolve_in_turn};
 
 /// Tokens to raw points and confidences, to which a convolutional branch, the *skip branch*, adds
 /// what it sees in the image itself.
@@ -118,7 +118,7 @@ impl PointsHead {
 struct SkipBranch {
     stages: Vec<(Conv2d, BatchNorm2d)>,
     /// Each stage as one convolution, exact and fast; made when first needed.
-    folded: [OnceLock<Vec<Conv2d>>; 2],
+    folded: [OnceLock<Vec<(Conv2d, Activation)>>; 2],
 }
 
 impl SkipBranch {
@@ -151,37 +151,52 @@ impl SkipBranch {
         options: SkipOptions,
         observer: &mut dyn Observer,
     ) -> Result<Tensor> {
-        let last = self.stages.len() - 1;
-        let activation = |i| match i == last {
-            true => Activation::Identity,
-            false => Activation::Selu,
-        };
+        if options.statistics == Statistics::Batch {
+            return self.forward_with_batch_statistics(input, observer);
+        }
+        let layers = self.folded(options.precision)?;
+        for i in 0..layers.len() {
+            observer.stage(&format!("skip_stage_{i}"), &|| {
+                convolve_in_turn(&layers[..=i], input)?.permute((0, 3, 1, 2))
+            })?;
+        }
+        convolve_in_turn(layers, input)
+    }
+
+    fn forward_with_batch_statistics(
+        &self,
+        input: &Tensor,
+        observer: &mut dyn Observer,
+    ) -> Result<Tensor> {
         let mut x = input.clone();
         for (i, (conv, norm)) in self.stages.iter().enumerate() {
-            x = match options.statistics {
-                Statistics::Running => {
-                    let folded = &self.folded(options.precision)?[i];
-                    folded.forward(&x, activation(i))?
-                }
-                Statistics::Batch => {
-                    let convolved = conv.forward(&x, Activation::Identity)?;
-                    activation(i).apply(&norm.forward_with_batch_statistics(&convolved)?)?
-                }
-            };
+            let convolved = conv.forward(&x, Activation::Identity)?;
+            let normed = norm.forward_with_batch_statistics(&convolved)?;
+            x = self.activation(i).apply(&normed)?;
             observer.stage(&format!("skip_stage_{i}"), &|| x.permute((0, 3, 1, 2)))?;
         }
         Ok(x)
     }
 
-    fn folded(&self, precision: Precision) -> Result<&[Conv2d]> {
-        let folded = &self.folded[usize::from(precision == Precision::Fast)];
-        if let Some(stages) = folded.get() {
-            return Ok(stages);
+    fn activation(&self, stage: usize) -> Activation {
+        match stage + 1 == self.stages.len() {
+            true => Activation::Identity,
+            false => Activation::Selu,
         }
-        let fold =
-            |(conv, norm): &(Conv2d, BatchNorm2d)| Ok(conv.folded(norm)?.with_precision(precision));
-        let stages = self.stages.iter().map(fold).collect::<Result<_>>()?;
-        Ok(folded.get_or_init(|| stages))
+    }
+
+    fn folded(&self, precision: Precision) -> Result<&[(Conv2d, Activation)]> {
+        let folded = &self.folded[usize::from(precision == Precision::Fast)];
+        if let Some(layers) = folded.get() {
+            return Ok(layers);
+        }
+        let fold = |(i, (conv, norm)): (usize, &(Conv2d, BatchNorm2d))| {
+            let conv = conv.folded(norm)?.with_precision(precision);
+            Ok((conv, self.activation(i)))
+        };
+        let layers = self.stages.iter().enumerate().map(fold);
+        let layers = layers.collect::<Result<_>>()?;
+        Ok(folded.get_or_init(|| layers))
     }
 }
 

@@ -15,7 +15,7 @@ pub struct Work {
     /// Gaussian heads.
     pub gaussian_heads: f64,
     /// Of the points heads, what fast convolutions save: of the skip branch's 5x5 layers they
-    /// compute 64 products for 16 outputs instead of 400.
+    /// compute 100 products for 36 outputs instead of 900.
     pub saved: f64,
 }
 
@@ -47,7 +47,7 @@ impl Work {
                 let narrow = 9.0 * (6.0 + 3.0) * channels;
                 (
                     pixels * (wide + narrow),
-                    pixels * wide * (1.0 - 64.0 / 400.0),
+                    pixels * wide * (1.0 - 100.0 / 900.0),
                 )
             }
             false => (0.0, 0.0),
