@@ -4,6 +4,7 @@
 //! It implements "Training-Free Instance-Aware 3D Scene Reconstruction and Diffusion-Based View
 //! Synthesis from Sparse Images" (SIGGRAPH Asia 2025), called *the paper* in this documentation.
 
+pub mod bench;
 pub mod demo;
 pub mod draw;
 pub mod edit;

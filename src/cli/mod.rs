@@ -1,5 +1,6 @@
 //! The command line: one file for each verb. Verbs read arguments, call the library and print.
 
+mod bench;
 mod clean;
 mod completions;
 mod demo;
@@ -70,6 +71,7 @@ enum Verb {
     Evaluate(evaluate::Evaluate),
     Weights(weights::Weights),
     Demo(demo::Demo),
+    Bench(bench::Bench),
     Completions(completions::Completions),
 }
 
@@ -95,6 +97,7 @@ impl Cli {
             Verb::Evaluate(verb) => verb.run(&terminal),
             Verb::Weights(verb) => verb.run(&terminal),
             Verb::Demo(verb) => verb.run(&terminal),
+            Verb::Bench(verb) => verb.run(&terminal),
             Verb::Completions(verb) => verb.run(),
         }
     }

@@ -1,0 +1,59 @@
+use super::{output, terminal::Terminal};
+use anyhow::Result;
+use clap::Args;
+use std::path::PathBuf;
+use tid3r::{
+    bench::{self, BenchParams, BenchRow},
+    machine::readable_bytes,
+};
+use tid3r_weights_convert::Found;
+
+/// Measure how fast a network runs on this machine.
+///
+/// It runs at full size on made-up pictures and, unless weights are given, on made-up weights: speed
+/// depends on neither. Operations are those of the network's definition; the share of the peak is of
+/// those that are really computed, against what the processor does with numbers in registers.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    tid3r bench --model mvdust3r\n  \
+    tid3r bench --model mvdust3r-plus --views 4,8 --threads 2 --json")]
+pub(super) struct Bench {
+    #[command(flatten)]
+    params: BenchParams,
+    /// Folder of weights to use
+    #[arg(long, value_name = "FOLDER")]
+    weights: Option<PathBuf>,
+    /// Print the measurements as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl Bench {
+    pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
+        let found = self.weights.as_deref().map(Found::at).transpose()?;
+        let rows = bench::run(&self.params, found.as_ref(), terminal)?;
+        if self.json {
+            return output::json(&rows);
+        }
+        print(&rows)
+    }
+}
+
+fn print(rows: &[BenchRow]) -> Result<()> {
+    let heading = [
+        "views", "size", "threads", "seconds", "memory", "GFLOP/s", "of peak",
+    ];
+    let mut table = vec![heading.map(String::from).to_vec()];
+    for row in rows {
+        table.push(vec![
+            row.views.to_string(),
+            format!("{}x{}", row.size.width, row.size.height),
+            row.threads.to_string(),
+            format!("{:.2}", row.median_seconds),
+            row.peak_memory_bytes.map_or("?".into(), readable_bytes),
+            format!("{:.0}", row.gflops),
+            format!("{:.0} %", 100.0 * row.share_of_peak),
+        ]);
+    }
+    output::table(&table)
+}
