@@ -110,6 +110,7 @@ fn print(scene: &Scene, report: &serde_json::Value) -> Result<()> {
                 inlier_share,
                 rms_px,
                 doubtful,
+                ..
             } => [
                 format!("{:.0}", intrinsics.fx),
                 format!("{:.0} %", 100.0 * inlier_share),

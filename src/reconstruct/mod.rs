@@ -17,6 +17,7 @@ pub use view_order::{OrderChoice, spread_order, view_order};
 
 use crate::{
     Result,
+    geometry::Intrinsics,
     photos::Photo,
     progress::Progress,
     scene::{Frame, Gaussians},
@@ -73,7 +74,9 @@ pub enum Placement {
     /// It has.
     Placed {
         /// The lens, for the original photo.
-        intrinsics: crate::geometry::Intrinsics,
+        intrinsics: Intrinsics,
+        /// Where the focal length comes from.
+        focal: FocalOrigin,
         /// The share of its points that agree with the camera.
         inlier_share: f64,
         /// Root mean square of their distances from where the camera should see them, pixels of the
@@ -87,4 +90,16 @@ pub enum Placement {
         /// Why.
         reason: String,
     },
+}
+
+/// Where a focal length comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FocalOrigin {
+    /// It was known beforehand.
+    Known,
+    /// It was recovered from what the network says.
+    Recovered,
+    /// That failed, and it is that of a usual lens.
+    Assumed,
 }

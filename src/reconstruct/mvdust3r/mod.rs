@@ -15,8 +15,8 @@ use crate::{
     photos::Photo,
     progress::Progress,
     reconstruct::{
-        PlacedPhoto, Placement, Pointmap, Reconstruction, Reconstructor, RecoveredCamera,
-        recover_cameras, view_order,
+        FocalOrigin, PlacedPhoto, Placement, Pointmap, Reconstruction, Reconstructor,
+        RecoveredCamera, RecoveredView, Recovery, RecoveryError, recover_cameras, view_order,
     },
     scene::{Frame, Gaussians},
 };
@@ -156,6 +156,51 @@ impl MvDust3rReconstructor {
     }
 }
 
+impl MvDust3rReconstructor {
+    /// Cameras from pointmaps; with a usual focal length where the network's points fit none.
+    fn recover(
+        &self,
+        pointmaps: &[Pointmap],
+        known: &[Option<Intrinsics>],
+        progress: &dyn Progress,
+    ) -> Result<(Recovery, FocalOrigin)> {
+        let MvDust3rParams { recovery, seed, .. } = &self.params;
+        let recovered = recover_cameras(pointmaps, known, recovery, *seed, progress)?;
+        let lacks_focal = |view: &RecoveredView| match &view.outcome {
+            Err(RecoveryError::Focal(reason)) => Some(*reason),
+            _ => None,
+        };
+        let Some(reason) = recovered.views.iter().find_map(lacks_focal) else {
+            return Ok((recovered, FocalOrigin::Recovered));
+        };
+        tracing::warn!(
+            "there is no focal length to be had from the reference photo ({reason}), so that of a usual \
+             lens is assumed; give it with --focal if you know it"
+        );
+        let assumed: Vec<_> = pointmaps
+            .iter()
+            .zip(known)
+            .map(|(pointmap, lens)| lens.or_else(|| Some(usual_lens(&pointmap.points))))
+            .collect();
+        let recovered = recover_cameras(pointmaps, &assumed, recovery, *seed, progress)?;
+        Ok((recovered, FocalOrigin::Assumed))
+    }
+}
+
+/// The main camera of a telephone, about 53 degrees wide.
+fn usual_lens(points: &Map<[f32; 3]>) -> Intrinsics {
+    let (width, height) = (points.width(), points.height());
+    let focal = f64::from(width.max(height));
+    Intrinsics {
+        width,
+        height,
+        fx: focal,
+        fy: focal,
+        cx: f64::from(width) / 2.0,
+        cy: f64::from(height) / 2.0,
+    }
+}
+
 impl Reconstructor for MvDust3rReconstructor {
     fn reconstruct(&self, photos: &[Photo], progress: &dyn Progress) -> Result<Reconstruction> {
         let sights = Sight::of_photos(photos, self.params.size, progress)?;
@@ -180,14 +225,11 @@ impl Reconstructor for MvDust3rReconstructor {
         outputs.truncate(views);
         let pointmaps = outputs.iter().map(pointmap).collect::<Result<Vec<_>>>()?;
         let known: Vec<_> = order[..views].iter().map(|&photo| known[photo]).collect();
-        let recovered = recover_cameras(
-            &pointmaps,
-            &known,
-            &self.params.recovery,
-            self.params.seed,
-            progress,
-        )?;
-
+        let (recovered, origin) = self.recover(&pointmaps, &known, progress)?;
+        let origin = |view: usize| match known[view] {
+            Some(_) => FocalOrigin::Known,
+            None => origin,
+        };
         let outcomes = recovered.views.into_iter().map(|view| view.outcome);
         let cameras = choose(outcomes.map(|outcome| outcome.map_err(|e| e.to_string())))?;
         let mut views: Vec<_> = cameras
@@ -201,7 +243,7 @@ impl Reconstructor for MvDust3rReconstructor {
         for (view, ((camera, pointmap), output)) in views {
             let sight = &sights[order[view]];
             let outcome = match &camera {
-                Ok(camera) => sight.placement(camera),
+                Ok(camera) => sight.placement(camera, origin(view)),
                 Err(reason) => Placement::LeftOut {
                     reason: reason.clone(),
                 },

@@ -4,7 +4,7 @@ use crate::{
     geometry::Intrinsics,
     photos::{KnownLens, NetworkFrame, Photo, network_frames, network_input},
     progress::Progress,
-    reconstruct::{Placement, RecoveredCamera},
+    reconstruct::{FocalOrigin, Placement, RecoveredCamera},
 };
 use candle_core::{Device, Tensor};
 use image::RgbImage;
@@ -92,12 +92,13 @@ impl Sight {
     }
 
     /// The place that a recovered camera gives the photo.
-    pub(super) fn placement(&self, camera: &RecoveredCamera) -> Placement {
+    pub(super) fn placement(&self, camera: &RecoveredCamera, focal: FocalOrigin) -> Placement {
         Placement::Placed {
             intrinsics: self
                 .frame
                 .transform()
                 .intrinsics_of_photo(&camera.camera.intrinsics),
+            focal,
             inlier_share: camera.fit.inlier_share,
             rms_px: camera.fit.rms_px,
             doubtful: camera.is_doubtful(),
