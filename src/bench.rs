@@ -2,6 +2,7 @@
 
 use crate::{
     Error, Result,
+    error::network_problem,
     machine::{forget_peak_memory, peak_memory},
     progress::Progress,
 };
@@ -133,7 +134,10 @@ pub fn run(
 ) -> Result<Vec<BenchRow>> {
     let failed = |error: candle_core::Error| {
         Error::request(
-            format!("the network cannot be measured: {error}"),
+            format!(
+                "the network cannot be measured: {}",
+                network_problem(&error)
+            ),
             "choose another size or other weights",
         )
     };

@@ -77,3 +77,12 @@ impl Error {
         }
     }
 }
+
+/// What a network says is wrong, in one line: without the places in its code that it went through.
+pub(crate) fn network_problem(error: &candle_core::Error) -> String {
+    match error {
+        candle_core::Error::WithBacktrace { inner, .. } => network_problem(inner),
+        candle_core::Error::WithPath { inner, .. } => network_problem(inner),
+        other => other.to_string(),
+    }
+}

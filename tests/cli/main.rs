@@ -14,6 +14,7 @@ mod export;
 mod import;
 mod killed;
 mod place;
+mod reconstruct;
 mod recording;
 mod render;
 mod stages;

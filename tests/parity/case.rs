@@ -59,10 +59,9 @@ pub(crate) fn folders_below(root: &Path) -> Result<Vec<PathBuf>> {
 impl Case {
     /// The case in `folder`.
     pub(crate) fn load(folder: &Path) -> Result<Self> {
-        let read = |name| fs::read_to_string(folder.join(name)).with_context(|| format!("{name}"));
-        let tensors = |name| {
-            safetensors::load(folder.join(name), &Device::Cpu).with_context(|| format!("{name}"))
-        };
+        let read = |name: &'static str| fs::read_to_string(folder.join(name)).context(name);
+        let tensors =
+            |name: &'static str| safetensors::load(folder.join(name), &Device::Cpu).context(name);
         Ok(Self {
             folder: folder.to_path_buf(),
             file: serde_json::from_str(&read("case.json")?).context("case.json")?,

@@ -86,10 +86,10 @@ impl<'a> Comparison<'a> {
         self.outcomes.insert(name.to_owned(), outcome);
     }
 
-    /// Prints every figure.
+    /// Prints every figure, if they shall be shown.
     ///
     /// An error, a line for each tensor, if one is too far off or was expected and not compared.
-    pub(crate) fn finish(self) -> Result<()> {
+    pub(crate) fn finish(self, show: bool) -> Result<()> {
         let mut problems = Vec::new();
         for name in self.case.expected().keys() {
             if !self.outcomes.contains_key(name) {
@@ -99,7 +99,8 @@ impl<'a> Comparison<'a> {
         ensure!(!self.outcomes.is_empty(), "nothing was compared");
         for (name, outcome) in &self.outcomes {
             match outcome {
-                Ok(figure) => println!("  {name}: {figure}"),
+                Ok(figure) if show => println!("  {name}: {figure}"),
+                Ok(_) => {}
                 Err(problem) => problems.push(format!("  {name}: {problem}")),
             }
         }

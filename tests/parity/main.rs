@@ -3,7 +3,10 @@
 //! A case is a folder with `case.json` (which module, its configuration, its weights, the tolerance),
 //! `inputs.safetensors` and `expected.safetensors`. Every case below `tests/fixtures/cases` is run,
 //! and every case below each folder in the environment variable `PARITY_CASES` (separated like
-//! `PATH`). A case of a module that is not listed in [`runner`] fails.
+//! `PATH`). A case of a module that is not listed in [`runner`] fails. `--nocapture` shows the figures of
+//! all tensors.
+
+#![expect(clippy::print_stdout, reason = "figures are for whoever asks for them")]
 
 mod case;
 mod comparison;
@@ -48,17 +51,17 @@ fn runner(model: &str) -> Option<Runner> {
 fn main() -> ExitCode {
     let arguments = Arguments::from_args();
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/cases");
-    let mut trials = trials_below(&fixtures);
+    let mut trials = trials_below(&fixtures, arguments.nocapture);
     if let Some(folders) = env::var_os("PARITY_CASES") {
         for folder in env::split_paths(&folders).filter(|folder| !folder.as_os_str().is_empty()) {
-            trials.extend(trials_below(&folder));
+            trials.extend(trials_below(&folder, arguments.nocapture));
         }
     }
     libtest_mimic::run(&arguments, trials).exit_code()
 }
 
 /// A test for each case below `root`; a single failing one if they cannot be found.
-fn trials_below(root: &Path) -> Vec<Trial> {
+fn trials_below(root: &Path, show: bool) -> Vec<Trial> {
     let found = case::folders_below(root).and_then(|folders| {
         ensure!(!folders.is_empty(), "there is no case below it");
         Ok(folders)
@@ -71,22 +74,23 @@ fn trials_below(root: &Path) -> Vec<Trial> {
         Err(error) => vec![test(root, Box::new(|| Err(error)))],
         Ok(folders) => {
             let trial = |folder: PathBuf| {
-                let name = folder.strip_prefix(root).unwrap_or(&folder);
-                // A root that is a case itself.
-                let name = if name == Path::new("") { root } else { name };
-                test(&name.to_path_buf(), Box::new(move || run(&folder)))
+                let below = folder.strip_prefix(root).unwrap_or(&folder).to_path_buf();
+                // A root can be a case itself.
+                let is_root = below.as_os_str().is_empty();
+                let name = if is_root { root } else { &below };
+                test(name, Box::new(move || run(&folder, show)))
             };
             folders.into_iter().map(trial).collect()
         }
     }
 }
 
-/// Runs the case in `folder`.
-fn run(folder: &Path) -> Result<()> {
+/// Runs the case in `folder`; `show` its figures.
+fn run(folder: &Path, show: bool) -> Result<()> {
     let case = Case::load(folder)?;
     let runner = runner(case.model())
         .with_context(|| format!("no test knows the module `{}`", case.model()))?;
     let mut comparison = Comparison::new(&case);
     runner(&case, &mut comparison)?;
-    comparison.finish()
+    comparison.finish(show)
 }

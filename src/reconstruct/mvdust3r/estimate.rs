@@ -1,5 +1,6 @@
 use crate::{
     Error, Result,
+    error::network_problem,
     machine::{available_memory, readable_bytes, readable_seconds},
 };
 use std::fmt;
@@ -42,8 +43,8 @@ impl RunEstimate {
         gaussians: bool,
     ) -> Result<Self> {
         let work = Work::new(config, views, size, Paths::First, gaussians && config.gs);
-        let peak =
-            measured_peak_flops(rayon::current_num_threads()).map_err(|error| unknown(&error))?;
+        let peak = measured_peak_flops(rayon::current_num_threads())
+            .map_err(|error| unknown(&network_problem(&error)))?;
         let mut estimate = Self {
             config: config.clone(),
             views,
@@ -70,7 +71,10 @@ impl RunEstimate {
             ..Options::default()
         };
         let memory = Memory::new(&self.config, views, self.size, &options);
-        Ok(memory.map_err(|error| unknown(&error))?.total() as u64 + PROGRAM_BYTES)
+        Ok(memory
+            .map_err(|error| unknown(&network_problem(&error)))?
+            .total() as u64
+            + PROGRAM_BYTES)
     }
 
     /// The most tokens at a time with which the run fits into `limit` bytes, or, if none is given, into

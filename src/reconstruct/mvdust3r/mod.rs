@@ -11,6 +11,7 @@ pub use params::{FocalSource, MvDust3rParams};
 
 use crate::{
     Error, Map, Result,
+    error::network_problem,
     geometry::Intrinsics,
     photos::Photo,
     progress::Progress,
@@ -55,8 +56,8 @@ impl MvDust3rReconstructor {
                 "give those of mvdust3r or mvdust3r-plus",
             ));
         };
-        let weights =
-            Weights::open(&found.weights, &Device::Cpu).map_err(|error| damaged(&found, &error))?;
+        let weights = Weights::open(&found.weights, &Device::Cpu)
+            .map_err(|error| damaged(&found, &network_problem(&error)))?;
         let this = Self {
             config,
             weights,
@@ -93,7 +94,8 @@ impl MvDust3rReconstructor {
             n_ref: Some(references),
             ..self.config.clone()
         };
-        MvDust3r::new(&config, &self.weights).map_err(|error| damaged(&self.found, &error))
+        MvDust3r::new(&config, &self.weights)
+            .map_err(|error| damaged(&self.found, &network_problem(&error)))
     }
 
     /// Reference views for so many views.
@@ -121,7 +123,10 @@ impl MvDust3rReconstructor {
         };
         let failed = |error: candle_core::Error| {
             Error::request(
-                format!("the network cannot run on these photos: {error}"),
+                format!(
+                    "the network cannot run on these photos: {}",
+                    network_problem(&error)
+                ),
                 "report this as a defect",
             )
         };
@@ -248,7 +253,6 @@ impl Reconstructor for MvDust3rReconstructor {
                     reason: reason.clone(),
                 },
             };
-            warn(&sight.photo, &outcome);
             reconstruction.photos.push(PlacedPhoto {
                 name: sight.photo.name.clone(),
                 view,
@@ -267,6 +271,7 @@ impl Reconstructor for MvDust3rReconstructor {
                 reconstruction.gaussians.push(gaussians_of(gaussians)?);
             }
         }
+        warn(&reconstruction.photos);
         Ok(reconstruction)
     }
 }
@@ -308,21 +313,24 @@ fn choose(
     Ok(cameras.into_iter().map(judge).collect())
 }
 
-fn warn(photo: &Photo, outcome: &Placement) {
-    match outcome {
-        Placement::LeftOut { reason } => {
-            tracing::warn!("{} is left out of the scene: {reason}", photo.name);
+fn warn(photos: &[PlacedPhoto]) {
+    let mut doubtful = Vec::new();
+    for photo in photos {
+        match &photo.outcome {
+            Placement::LeftOut { reason } => {
+                tracing::warn!("{} is left out of the scene: {reason}", photo.name);
+            }
+            Placement::Placed { doubtful: true, .. } => doubtful.push(&*photo.name),
+            Placement::Placed { .. } => {}
         }
-        Placement::Placed {
-            doubtful: true,
-            inlier_share,
-            ..
-        } => tracing::warn!(
-            "the camera of {} is doubtful: only {:.0} % of its points agree with it",
-            photo.name,
-            100.0 * inlier_share
-        ),
-        Placement::Placed { .. } => {}
+    }
+    if !doubtful.is_empty() {
+        tracing::warn!(
+            "the cameras of {} of {} photos are doubtful, hardly any of their points agree with them: {}",
+            doubtful.len(),
+            photos.len(),
+            doubtful.join(", ")
+        );
     }
 }
 
@@ -372,18 +380,20 @@ fn map(x: &Tensor) -> Result<Map<f32>> {
         let (_, height, width) = x.dims3()?;
         Ok((width, height, x.flatten_all()?.to_vec1::<f32>()?))
     };
-    let (width, height, values) = values().map_err(|error| unexpected(&error))?;
+    let (width, height, values) = values().map_err(|error| unexpected(&network_problem(&error)))?;
     Map::new(width as u32, height as u32, values).ok_or_else(|| unexpected(&"its size is wrong"))
 }
 
 /// The maps of all channels of the only item of a batch: `x` is (1, height, width, channels).
 fn maps(x: &Tensor) -> Result<Vec<Map<f32>>> {
-    let channels = x.dim(3).map_err(|error| unexpected(&error))?;
+    let channels = x
+        .dim(3)
+        .map_err(|error| unexpected(&network_problem(&error)))?;
     let channel = |c| {
         map(&x
             .narrow(3, c, 1)
             .and_then(|x| x.squeeze(3))
-            .map_err(|e| unexpected(&e))?)
+            .map_err(|e| unexpected(&network_problem(&e)))?)
     };
     (0..channels).map(channel).collect()
 }
