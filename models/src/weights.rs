@@ -311,3 +311,84 @@ impl Parameter {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    /// A file of the tensors `a` (2, 2) in f32, `h` (3) in f16, `b` (3) in bf16 and `n` (1) in i64.
+    fn file(folder: &tempfile::TempDir) -> PathBuf {
+        let header = r#"{"a":{"dtype":"F32","shape":[2,2],"data_offsets":[0,16]},
+            "h":{"dtype":"F16","shape":[3],"data_offsets":[16,22]},
+            "b":{"dtype":"BF16","shape":[3],"data_offsets":[22,28]},
+            "n":{"dtype":"I64","shape":[1],"data_offsets":[28,36]}}"#;
+        let padded = format!("{header:<width$}", width = header.len().next_multiple_of(8));
+        let mut bytes = (padded.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(padded.as_bytes());
+        for value in [1.0_f32, -2.0, 3.5, 1e-20] {
+            bytes.extend(value.to_le_bytes());
+        }
+        for value in [1.0, -2.0, 0.1] {
+            bytes.extend(f16::from_f32(value).to_le_bytes());
+        }
+        for value in [1.0, -2.0, 0.1] {
+            bytes.extend(bf16::from_f32(value).to_le_bytes());
+        }
+        bytes.extend(7_i64.to_le_bytes());
+        let path = folder.path().join("weights.safetensors");
+        fs::write(&path, bytes).unwrap();
+        path
+    }
+
+    #[test]
+    fn single_precision_is_used_in_place_and_half_is_widened() {
+        let folder = tempfile::tempdir().unwrap();
+        let weights = Weights::open(&file(&folder), &Device::Cpu).unwrap();
+        let a = weights.get([2, 2], "a").unwrap();
+        assert_eq!(a.host().unwrap(), [1.0, -2.0, 3.5, 1e-20]);
+        assert!(matches!(a.values, Values::Mapped { .. }), "{a:?}");
+        assert_eq!(a.tensor().unwrap().dims(), [2, 2]);
+        let h = weights.get([3], "h").unwrap();
+        assert_eq!(h.host().unwrap(), [1.0, -2.0, f16::from_f32(0.1).to_f32()]);
+        let b = weights.get([3], "b").unwrap();
+        assert_eq!(b.host().unwrap(), [1.0, -2.0, bf16::from_f32(0.1).to_f32()]);
+        assert_eq!(weights.unused(), ["n"]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_file_and_tensor() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = file(&folder);
+        let weights = Weights::open(&path, &Device::Cpu).unwrap();
+        for (shape, name, problem) in [
+            (vec![2], "a", "shape"),
+            (vec![1], "n", "no float"),
+            (vec![2], "deep.z", "missing"),
+        ] {
+            let message = weights.get(shape, name).unwrap_err().to_string();
+            for part in ["weights.safetensors", name, problem] {
+                assert!(message.contains(part), "{message}");
+            }
+        }
+        let message = weights.pp("deep").get([2], "z").unwrap_err().to_string();
+        assert!(message.contains("deep.z"), "{message}");
+        let whole = fs::read(&path).unwrap();
+        for length in [0, 7, 100, whole.len() - 1] {
+            fs::write(&path, &whole[..length]).unwrap();
+            assert!(Weights::open(&path, &Device::Cpu).is_err(), "{length}");
+        }
+        assert!(Weights::open(folder.path(), &Device::Cpu).is_err());
+    }
+
+    #[test]
+    fn a_network_without_values_can_be_asked_for_names() {
+        let weights = Weights::names_only();
+        weights.pp("block").pp(0).get([4, 2], "weight").unwrap();
+        weights.get([4], "bias").unwrap();
+        let wanted = [("bias", vec![4]), ("block.0.weight", vec![4, 2])];
+        let wanted = wanted.map(|(name, shape)| (name.to_owned(), shape));
+        assert_eq!(weights.asked(), BTreeMap::from(wanted));
+    }
+}

@@ -6,12 +6,14 @@
 mod camera;
 mod floor;
 mod focal;
+mod lens;
 mod pnp;
 mod warp;
 
 pub use camera::{Camera, Intrinsics, matrix4};
 pub use floor::{SurfacePoint, floor_frame};
 pub use focal::{FocalError, estimate_focal, robust_focal};
+pub use lens::Lens;
 pub use pnp::{
     Correspondence, PnpError, PnpParams, PnpSolution, PoseFit, solve_pnp, solve_pnp_and_focal,
 };

@@ -1,4 +1,7 @@
-use crate::{exchange::rgbd::Lens, geometry::Intrinsics, parameters};
+use crate::{
+    geometry::{Intrinsics, Lens},
+    parameters,
+};
 use serde::Serialize;
 
 /// What a user knows of the lens of a photo, in pixels of the upright photo.

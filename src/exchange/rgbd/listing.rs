@@ -1,4 +1,5 @@
-use super::{lens::Lens, poses::Rows};
+use super::poses::Rows;
+use crate::geometry::Lens;
 use crate::{Error, Result, photos::natural_key};
 use std::{
     fs,

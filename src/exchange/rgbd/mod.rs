@@ -8,7 +8,6 @@
 mod color_depth;
 mod frame_list;
 mod layout;
-mod lens;
 mod listing;
 mod npy;
 mod npz;
@@ -26,11 +25,11 @@ mod view;
 
 pub use frame_list::FrameList;
 pub use layout::Layout;
-pub use lens::Lens;
 pub use options::{ImportOptions, IntrinsicsImage, LayoutChoice};
 
 use crate::{
     Error, Map, Result,
+    geometry::Lens,
     photos::Photo,
     progress::Progress,
     reconstruct::{Reconstruction, Reconstructor},

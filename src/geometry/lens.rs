@@ -1,4 +1,4 @@
-use crate::geometry::Intrinsics;
+use super::Intrinsics;
 use serde::Serialize;
 use std::{fmt, str::FromStr};
 
@@ -22,7 +22,7 @@ const FOCAL_WIDTHS: std::ops::RangeInclusive<f64> = 0.1..=20.0;
 
 impl Lens {
     /// The lens of a 3x3 camera matrix K, rows first.
-    pub(super) fn from_matrix(k: &[[f64; 3]; 3]) -> Result<Self, String> {
+    pub(crate) fn from_matrix(k: &[[f64; 3]; 3]) -> Result<Self, String> {
         let zeros = [k[1][0], k[2][0], k[2][1], k[2][2] - 1.0];
         if zeros.iter().any(|x| x.abs() > 1e-6) {
             return Err("the camera matrix is not of the form fx 0 cx, 0 fy cy, 0 0 1".into());
@@ -43,7 +43,7 @@ impl Lens {
     }
 
     /// The lens of `camera-intrinsics.txt`: nine numbers of a 3x3 matrix, or four.
-    pub(super) fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
+    pub(crate) fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
         match *numbers {
             [fx, fy, cx, cy] => Ok(Self { fx, fy, cx, cy }),
             [a, b, c, d, e, f, g, h, i] => Self::from_matrix(&[[a, b, c], [d, e, f], [g, h, i]]),
@@ -55,12 +55,12 @@ impl Lens {
     }
 
     /// The diagonal of F, -1 for each axis that is flipped.
-    pub(super) fn axis_signs(&self) -> [f64; 2] {
+    pub(crate) fn axis_signs(&self) -> [f64; 2] {
         [self.fx.signum(), self.fy.signum()]
     }
 
     /// How far the principal point is from the centre of an image of `size`, in shares of the sides.
-    pub(super) fn off_centre(&self, size: [u32; 2]) -> f64 {
+    pub(crate) fn off_centre(&self, size: [u32; 2]) -> f64 {
         let [x, y] = self.relative_principal_point(size);
         (x - 0.5).abs().max((y - 0.5).abs())
     }
