@@ -119,7 +119,7 @@ impl Scene {
             return Err(Error::file(
                 folder,
                 "is not a scene (it has no scene.json)",
-                "make one with `tid3r import` or `tid3r demo`",
+                "make one with `tid3r reconstruct`, `tid3r import` or `tid3r demo`",
             ));
         }
         let value: Value = files::read_json(&path, AGAIN)?;

@@ -104,7 +104,8 @@ impl MvDust3rReconstructor {
             return 1;
         }
         let wanted = self.params.references.map(|n| n as usize);
-        wanted.unwrap_or(4).clamp(2, views.max(2))
+        let wanted = wanted.unwrap_or(self.config.references());
+        wanted.clamp(2, views.max(2))
     }
 
     /// What the network says of views that see `sights`, all of one size.
@@ -159,9 +160,7 @@ impl MvDust3rReconstructor {
         }
         Ok(known)
     }
-}
 
-impl MvDust3rReconstructor {
     /// Cameras from pointmaps; with a usual focal length where the network's points fit none.
     fn recover(
         &self,

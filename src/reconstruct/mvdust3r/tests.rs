@@ -67,13 +67,14 @@ fn progress_reaches_its_end_and_never_goes_back() {
 
 #[test]
 fn a_run_that_does_not_fit_says_what_would() {
-    let estimate = RunEstimate::new(&Config::mv_dust3r(), 20, (224, 224), true).unwrap();
-    assert_eq!(estimate.rows_within(Some(64 << 30)).unwrap(), 4096);
-    let enough_for_some = estimate.bytes - 30_000_000;
-    assert!(estimate.rows_within(Some(enough_for_some)).is_ok());
-    let message = estimate.rows_within(Some(1 << 30)).unwrap_err().to_string();
+    let estimate = |views| RunEstimate::new(&Config::mv_dust3r(), views, (224, 224), true).unwrap();
+    let (some, many) = (estimate(20), estimate(100));
+    assert_eq!(some.rows_within(Some(some.bytes)).unwrap(), 4096);
+    let message = some.rows_within(Some(1 << 30)).unwrap_err().to_string();
     assert!(
         message.contains("20 photos") && message.contains("allow for"),
         "{message}"
     );
+    let message = many.rows_within(Some(some.bytes)).unwrap_err().to_string();
+    assert!(message.contains("give at most"), "{message}");
 }

@@ -342,10 +342,9 @@ fn views_without_a_camera_say_why_and_leave_the_others_alone() {
         failure(2),
         RecoveryError::Pose(PnpError::TooFew { usable: 0, .. })
     ));
-    assert!(matches!(
-        failure(3),
-        RecoveryError::Pose(PnpError::NoConsensus { .. })
-    ));
+    // The best that can be found for a mess, and known to be none.
+    let mess = recovery.views[3].outcome.as_ref().unwrap();
+    assert!(mess.is_doubtful(), "{:?}", mess.fit);
     let first = |recovery: &Recovery| recovery.views[0].outcome.as_ref().unwrap().camera;
     let off = first(&recovery)
         .cam_to_world
