@@ -11,7 +11,7 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, path::Path, time::Instant};
 
 /// What a new scene is made of.
 pub struct NewScene<'a> {
@@ -54,6 +54,7 @@ impl NewScene<'_> {
                 ));
             }
         }
+        let start = Instant::now();
         let photos: Vec<Photo> = self.inputs.iter().chain(self.held_out).cloned().collect();
         let Reconstruction {
             frames,
@@ -98,6 +99,7 @@ impl NewScene<'_> {
                 Ok((content_hash(&frames), report))
             },
         )?;
+        scene.write_timing("reconstruct", start, lock)?;
         // Poses as every later process will read them.
         Scene::open(folder)
     }

@@ -13,7 +13,7 @@ use crate::{
     Error, Map, Result,
     error::network_problem,
     geometry::Intrinsics,
-    photos::Photo,
+    photos::{KnownLens, Photo},
     progress::Progress,
     reconstruct::{
         FocalOrigin, PlacedPhoto, Placement, Pointmap, Reconstruction, Reconstructor,
@@ -171,10 +171,16 @@ impl MvDust3rReconstructor {
         let MvDust3rParams { recovery, seed, .. } = &self.params;
         let recovered = recover_cameras(pointmaps, known, recovery, *seed, progress)?;
         let lacks_focal = |view: &RecoveredView| match &view.outcome {
-            Err(RecoveryError::Focal(reason)) => Some(*reason),
+            Err(RecoveryError::Focal(reason)) => Some(reason.to_string()),
             _ => None,
         };
-        let Some(reason) = recovered.views.iter().find_map(lacks_focal) else {
+        let points = &pointmaps[0].points;
+        let is_no_lens = |focal: f64| {
+            let size = [points.width(), points.height()];
+            KnownLens::Focal(focal).on_photo(size).err()
+        };
+        let problem = recovered.views.iter().find_map(lacks_focal);
+        let Some(reason) = problem.or_else(|| recovered.shared_focal.and_then(is_no_lens)) else {
             return Ok((recovered, FocalOrigin::Recovered));
         };
         tracing::warn!(
