@@ -1,6 +1,6 @@
 //! One recorded case.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use candle_core::{Device, Tensor, safetensors};
 use serde::{Deserialize, de::DeserializeOwned};
 use serde_json::Value;
@@ -33,6 +33,44 @@ struct CaseFile {
 enum WeightsOf {
     SyntheticSeed(u64),
     File(PathBuf),
+}
+
+/// What is done to synthetic weights so that a deep network's result does not come out constant.
+#[derive(Deserialize)]
+struct Gains {
+    #[serde(default)]
+    weight_gains: Vec<Gain>,
+    #[serde(default)]
+    not_synthesised: Vec<String>,
+}
+
+#[derive(Clone, Deserialize)]
+struct Gain {
+    suffix: String,
+    factor: f32,
+}
+
+/// Synthetic weights, with the gains in `config`; the bins of a box's sides are their own numbers
+/// wherever `config` says that something is not made up.
+fn synthetic(config: &Value, seed: u64) -> Result<Weights> {
+    let gains: Gains = serde_json::from_value(config.clone()).context("the gains")?;
+    let values = move |name: &str, shape: &[usize]| {
+        if !gains.not_synthesised.is_empty() && name.ends_with("dfl.conv.weight") {
+            return (0..shape.iter().product())
+                .map(|bin: usize| bin as f32)
+                .collect();
+        }
+        let mut values = synth::tensor(name, shape, seed);
+        for gain in gains
+            .weight_gains
+            .iter()
+            .filter(|gain| name.ends_with(&gain.suffix))
+        {
+            values.iter_mut().for_each(|value| *value *= gain.factor);
+        }
+        values
+    };
+    Ok(Weights::from_fn(values, &Device::Cpu))
 }
 
 #[derive(Deserialize)]
@@ -93,10 +131,7 @@ impl Case {
     /// The weights: synthetic ones whatever their names, or those of a checkpoint, converted.
     pub(crate) fn weights(&self) -> Result<Weights> {
         match &self.file.weights {
-            &WeightsOf::SyntheticSeed(seed) => Ok(Weights::from_fn(
-                move |name, shape| synth::tensor(name, shape, seed),
-                &Device::Cpu,
-            )),
+            &WeightsOf::SyntheticSeed(seed) => synthetic(&self.file.config, seed),
             WeightsOf::File(name) => {
                 let folder = tempfile::tempdir()?;
                 let source = self.folder.join(name);
@@ -108,6 +143,15 @@ impl Case {
                     &Device::Cpu,
                 )?)
             }
+        }
+    }
+
+    /// Synthetic weights of the network whose configuration is `config.<part>`: of the same seed as all
+    /// others, with the gains of that part.
+    pub(crate) fn weights_of(&self, part: &str) -> Result<Weights> {
+        match self.file.weights {
+            WeightsOf::SyntheticSeed(seed) => synthetic(&self.file.config[part], seed),
+            WeightsOf::File(_) => bail!("the weights of `{part}` are in a file"),
         }
     }
 

@@ -3,6 +3,7 @@
 use crate::case::Case;
 use anyhow::{Result, bail, ensure};
 use candle_core::{DType, Tensor};
+use serde::Deserialize;
 use std::collections::BTreeMap;
 
 /// What came of comparing tensors with those that a case expects.
@@ -50,6 +51,41 @@ impl<'a> Comparison<'a> {
         if self.expects(name) {
             self.check(name, got);
         }
+    }
+
+    /// Compares `got`, if the case expects it, with what was recorded of the tensor called `name`: every
+    /// so many elements of it, as `strides` of the configuration say (all without an entry there), and
+    /// under `<name>.mean` its mean over all axes but the second.
+    pub(crate) fn check_sampled(&mut self, name: &str, got: &Tensor) -> Result<()> {
+        #[derive(Deserialize)]
+        struct Config {
+            #[serde(default)]
+            strides: BTreeMap<String, Vec<usize>>,
+        }
+        let Config { strides } = self.case.config()?;
+        if self.expects(name) {
+            let of_name = |(pattern, _): &(&String, _)| match pattern.strip_suffix('*') {
+                Some(beginning) => name.starts_with(beginning),
+                None => *pattern == name,
+            };
+            let mut sampled = got.clone();
+            let steps = strides
+                .iter()
+                .find(of_name)
+                .map_or(&[][..], |(_, steps)| steps);
+            for (axis, &step) in steps.iter().enumerate() {
+                let places: Vec<u32> = (0..sampled.dim(axis)? as u32).step_by(step).collect();
+                let places = Tensor::new(places, sampled.device())?;
+                sampled = sampled.contiguous()?.index_select(&places, axis)?;
+            }
+            self.check(name, &sampled);
+        }
+        let mean = format!("{name}.mean");
+        if self.expects(&mean) {
+            let channels = got.transpose(0, 1)?.flatten_from(1)?;
+            self.check(&mean, &channels.to_dtype(DType::F64)?.mean(1)?);
+        }
+        Ok(())
     }
 
     /// Compares `got` with the expected tensor called `name`, of which a `share` may differ, each by

@@ -12,6 +12,7 @@ mod case;
 mod comparison;
 mod geometry;
 mod layers;
+mod mobilesamv2;
 mod mvdust3r;
 mod photos;
 
@@ -44,7 +45,7 @@ fn runner(model: &str) -> Option<Runner> {
         "estimate_focal" => geometry::estimate_focals,
         "demo_geometry" => geometry::demo_geometry,
         "metrics" => geometry::metrics,
-        _ => return None,
+        other => return mobilesamv2::runner(other),
     })
 }
 
