@@ -1,5 +1,6 @@
 //! MobileSAMv2: its networks and what is around them.
 
+mod efficient_vit;
 mod picture;
 
 use crate::Runner;
@@ -7,6 +8,8 @@ use crate::Runner;
 /// What computes the tensors of `model`.
 pub(crate) fn runner(model: &str) -> Option<Runner> {
     Some(match model {
+        "efficientvit_blocks" => efficient_vit::blocks,
+        "efficientvit_sam" | "efficientvit_l2" => efficient_vit::network,
         _ => return None,
     })
 }
