@@ -8,3 +8,8 @@
 
 pub mod detector;
 pub mod efficient_vit;
+mod neck;
+pub mod tiny_vit;
+pub mod vit;
+
+pub use neck::Neck;

@@ -21,6 +21,7 @@ mod mlp;
 mod pool;
 mod resize;
 mod rope;
+mod window_attention;
 
 pub use activation::Activation;
 pub use attention::{CrossAttention, Memory, SelfAttention, attention};
@@ -36,3 +37,4 @@ pub use mlp::Mlp;
 pub use pool::max_pool;
 pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};
 pub use rope::{Rope2d, Rotation};
+pub use window_attention::{ScoreBias, window_attention};

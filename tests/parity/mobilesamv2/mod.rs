@@ -3,6 +3,8 @@
 mod detector;
 mod efficient_vit;
 mod picture;
+mod tiny_vit;
+mod vit;
 
 use crate::Runner;
 
@@ -11,6 +13,9 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
     Some(match model {
         "efficientvit_blocks" => efficient_vit::blocks,
         "efficientvit_sam" | "efficientvit_l2" => efficient_vit::network,
+        "sam_vit" | "sam_vit_h" => vit::network,
+        "tiny_vit" => tiny_vit::network,
+        "tiny_vit_blocks" => tiny_vit::blocks,
         "yolo_blocks" => detector::blocks,
         "object_aware_yolov8" => detector::network,
         _ => return None,
