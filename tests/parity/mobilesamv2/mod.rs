@@ -1,7 +1,11 @@
 //! MobileSAMv2: its networks and what is around them.
 
+mod detector;
+mod efficient_vit;
 mod picture;
 mod pipeline;
+mod tiny_vit;
+mod vit;
 
 use crate::Runner;
 
@@ -14,6 +18,13 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
         "sam_preprocess" => pipeline::sam_preprocess,
         "mask_postprocess" => pipeline::mask_postprocess,
         "pe3r_mask_selection" => pipeline::pe3r_masks,
+        "efficientvit_blocks" => efficient_vit::blocks,
+        "efficientvit_sam" | "efficientvit_l2" => efficient_vit::network,
+        "sam_vit" | "sam_vit_h" => vit::network,
+        "tiny_vit" => tiny_vit::network,
+        "tiny_vit_blocks" => tiny_vit::blocks,
+        "yolo_blocks" => detector::blocks,
+        "object_aware_yolov8" => detector::network,
         _ => return None,
     })
 }

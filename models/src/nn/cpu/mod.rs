@@ -22,6 +22,7 @@ mod host;
 mod isa;
 mod layer_norm;
 mod linear;
+mod linear_attention;
 mod math;
 mod peak;
 mod rope;
@@ -33,9 +34,10 @@ pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_ser
 pub use isa::Isa;
 pub use peak::measured_peak_flops;
 
-pub(super) use attention::attention;
+pub(super) use attention::{attention, window_attention};
 pub(super) use elementwise::activation;
 pub(super) use host::HostTensor;
 pub(super) use layer_norm::layer_norm;
 pub(super) use linear::linear;
+pub(super) use linear_attention::linear_attention;
 pub(super) use rope::rotate;
