@@ -21,6 +21,8 @@
 
 pub mod mvdust3r;
 pub mod nn;
+mod observer;
 mod weights;
 
+pub use observer::{Observer, Unobserved};
 pub use weights::{Parameter, Weights};
