@@ -19,6 +19,7 @@
 //! Errors are [`candle_core::Error`]: a missing or misshapen weight is reported with its name, an
 //! input that a network cannot take with its shape.
 
+pub mod mobilesamv2;
 pub mod mvdust3r;
 pub mod nn;
 mod observer;

@@ -11,14 +11,17 @@
 mod activation;
 mod attention;
 mod block;
+mod by_head;
 mod conv;
 pub mod cpu;
+mod exchange;
 mod layer_norm;
 mod linear;
 mod mlp;
 mod pool;
 mod resize;
 mod rope;
+mod upscaling;
 
 pub use activation::Activation;
 pub use attention::{CrossAttention, Memory, SelfAttention, attention};
@@ -26,9 +29,11 @@ pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
 pub use conv::{
     BatchNorm2d, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,
 };
+pub use exchange::{Told, exchange};
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use mlp::Mlp;
 pub use pool::max_pool;
 pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};
 pub use rope::{Rope2d, Rotation};
+pub use upscaling::Upscaling;

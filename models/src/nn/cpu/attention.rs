@@ -155,14 +155,14 @@ struct Head {
 }
 
 /// What is known of the queries after some blocks of keys.
-struct Sums<'a> {
+pub(super) struct Sums<'a> {
     /// Greatest score (in units of the exponent of 2) for each query.
-    greatest: &'a mut [f32],
+    pub(super) greatest: &'a mut [f32],
     /// Sum of weights relative to that.
-    weights: &'a mut [f32],
+    pub(super) weights: &'a mut [f32],
     /// Weighted sums of values, each `width` numbers.
-    values: &'a mut [f32],
-    width: usize,
+    pub(super) values: &'a mut [f32],
+    pub(super) width: usize,
 }
 
 impl Task for Head {
@@ -258,11 +258,11 @@ unsafe fn pack_values<S: Simd>(simd: S, memory: &[[*const f32; 2]], dim: usize, 
 }
 
 /// A block of packed keys and values.
-struct KeyBlock<'a> {
-    k: &'a [f32],
-    v: &'a [f32],
-    keys: usize,
-    dim: usize,
+pub(super) struct KeyBlock<'a> {
+    pub(super) k: &'a [f32],
+    pub(super) v: &'a [f32],
+    pub(super) keys: usize,
+    pub(super) dim: usize,
 }
 
 impl KeyBlock<'_> {
@@ -271,7 +271,7 @@ impl KeyBlock<'_> {
     /// `scores` is room for a tile for each panel of keys, `weights` for as many numbers and a
     /// vector.
     #[inline(always)]
-    fn attend<S: Simd>(
+    pub(super) fn attend<S: Simd>(
         &self,
         simd: S,
         q: &[f32],
