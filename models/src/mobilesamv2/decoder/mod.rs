@@ -7,12 +7,16 @@
 
 mod config;
 mod mask;
+mod memory;
 mod network;
 mod prompt;
 mod two_way;
+mod work;
 
 pub use config::{Config, MaskDecoderConfig, PromptEncoderConfig};
 pub use mask::MaskDecoder;
+pub use memory::Memory;
 pub use network::{Decoder, Masks, Options, Output};
 pub use prompt::PromptEncoder;
 pub use two_way::{Attention, ImageSide, TwoWayTransformer};
+pub use work::Work;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use candle_core::{DType, Result, Tensor, bail};
 
-use super::{Config, MaskDecoder, PromptEncoder};
+use super::{Config, MaskDecoder, PromptEncoder, Work};
 use crate::{Observer, Weights};
 
 /// The prompt encoder and the mask decoder.
@@ -128,6 +128,8 @@ impl Decoder {
         }
         let image = image.broadcast_add(&self.prompt_encoder.no_mask()?)?;
         let side = (self.mask_decoder).look_at(&image, &self.prompt_encoder.places()?)?;
+        let work = Work::new(&self.config);
+        observer.advance(work.image);
         let at_once = options.boxes.max(1);
         let (logits, iou) = (0..count)
             .step_by(at_once)
@@ -140,6 +142,7 @@ impl Decoder {
                     options.output,
                     observer,
                 )?;
+                observer.advance(corners.dim(0)? as f64 * work.of_box());
                 Ok((masks.logits, masks.iou))
             })
             .collect::<Result<(Vec<_>, Vec<_>)>>()?;
