@@ -1,6 +1,14 @@
-//! MobileSAMv2 (Zhang et al. 2023): the objects of a photo, and a mask for each.
+//! MobileSAMv2 (Zhang et al. 2023): a photo to a mask for each thing in it.
 //!
-//! Facts are from ChaoningZhang/MobileSAM at 34bbbfd, folder `MobileSAMv2`; tensor names are those of its
-//! checkpoints, after what a file puts before them.
+//! Facts are from ChaoningZhang/MobileSAM, folder MobileSAMv2, at 34bbbfd, and hujiecpp/PE3R; tensor
+//! names are those of their checkpoints.
+//!
+//! A detector finds boxes around whatever is a thing; an image encoder looks at the photo once; a
+//! decoder makes the mask of each box.
 
 pub mod decoder;
+mod neck;
+pub mod tiny_vit;
+pub mod vit;
+
+pub use neck::Neck;

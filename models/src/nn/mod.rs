@@ -22,6 +22,7 @@ mod pool;
 mod resize;
 mod rope;
 mod upscaling;
+mod window_attention;
 
 pub use activation::Activation;
 pub use attention::{CrossAttention, Memory, SelfAttention, attention};
@@ -37,3 +38,4 @@ pub use pool::max_pool;
 pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};
 pub use rope::{Rope2d, Rotation};
 pub use upscaling::Upscaling;
+pub use window_attention::{ScoreBias, window_attention};

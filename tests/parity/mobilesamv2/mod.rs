@@ -2,6 +2,8 @@
 
 mod decoder;
 mod picture;
+mod tiny_vit;
+mod vit;
 
 use crate::Runner;
 
@@ -12,6 +14,9 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
         "two_way_transformer" => decoder::transformer,
         "mask_decoder" => decoder::masks,
         "prompt_guided_mask_decoder" => decoder::file,
+        "tiny_vit_blocks" => tiny_vit::blocks,
+        "tiny_vit" => tiny_vit::network,
+        "sam_vit" | "sam_vit_h" => vit::network,
         _ => return None,
     })
 }

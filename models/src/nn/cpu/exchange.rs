@@ -9,7 +9,7 @@ use candle_core::{Result, bail};
 use rayon::prelude::*;
 
 use super::Isa;
-use super::attention::{KeyBlock, Sums};
+use super::attention::{KeyBlock, Rows, Sums};
 use super::gemm::pack_lines;
 use super::isa::Task;
 use super::layer_norm::Normalise;
@@ -194,11 +194,13 @@ impl Task for OneBox<'_> {
                 let block = KeyBlock {
                     k: panels,
                     v: found,
+                    start: 0,
                     keys: count,
                     dim: channels,
                 };
                 let q = &asked[first * channels..];
-                block.attend(simd, q, scores, row_weights, first, &mut sums);
+                let room = [&mut *scores, &mut *row_weights];
+                block.attend(simd, q, &mut Rows::none(), room, first, &mut sums);
             }
         }
         for (i, answer) in self.answers.chunks_exact_mut(channels).enumerate() {

@@ -35,7 +35,7 @@ pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_ser
 pub use isa::Isa;
 pub use peak::measured_peak_flops;
 
-pub(super) use attention::attention;
+pub(super) use attention::{attention, window_attention};
 pub(super) use elementwise::activation;
 pub(super) use exchange::{ExchangeInputs, exchange};
 pub(super) use host::HostTensor;
