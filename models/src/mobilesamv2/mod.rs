@@ -6,6 +6,7 @@
 //! A [`detector`] finds boxes around whatever is a thing; an image encoder ([`efficient_vit`], the default,
 //! [`tiny_vit`] or [`vit`]) looks at the photo once; a decoder makes the mask of each box.
 
+pub mod decoder;
 pub mod detector;
 pub mod efficient_vit;
 mod neck;

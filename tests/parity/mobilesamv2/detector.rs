@@ -7,9 +7,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use tid3r_models::{
     Observer, Unobserved, Weights,
-    mobilesamv2::detector::{
-        C2f, Config, ConvBlock, Detector, Dfl, Head, MaskCoefficients, Sppf,
-    },
+    mobilesamv2::detector::{C2f, Config, ConvBlock, Detector, Dfl, Head, MaskCoefficients, Sppf},
 };
 
 /// The input called `name` with channels last.

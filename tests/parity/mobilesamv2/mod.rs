@@ -1,5 +1,6 @@
 //! MobileSAMv2: its networks and what is around them.
 
+mod decoder;
 mod detector;
 mod efficient_vit;
 mod picture;
@@ -20,6 +21,10 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
         "pe3r_mask_selection" => pipeline::pe3r_masks,
         "efficientvit_blocks" => efficient_vit::blocks,
         "efficientvit_sam" | "efficientvit_l2" => efficient_vit::network,
+        "prompt_encoder" => decoder::prompts,
+        "two_way_transformer" => decoder::transformer,
+        "mask_decoder" => decoder::masks,
+        "prompt_guided_mask_decoder" => decoder::file,
         "sam_vit" | "sam_vit_h" => vit::network,
         "tiny_vit" => tiny_vit::network,
         "tiny_vit_blocks" => tiny_vit::blocks,
