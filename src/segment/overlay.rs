@@ -4,7 +4,7 @@ use crate::{
     Map,
     draw::{CHARACTER, colour_of, fill, text, text_width},
 };
-use image::{Rgb, RgbImage};
+use image::RgbImage;
 use rayon::prelude::*;
 
 /// How much of the label's colour is inside a mask, of 256.
@@ -85,6 +85,7 @@ fn widest_places(labels: &Map<u32>) -> Vec<(u32, [u32; 2], u32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use image::Rgb;
 
     #[test]
     fn masks_are_tinted_outlined_and_numbered() {

@@ -4,8 +4,6 @@ use crate::photos::opencv_resize;
 use candle_core::{Device, Tensor};
 use image::{Rgb, RgbImage, imageops};
 
-/// The detector's coarsest cell: sides of its pictures are multiples of it.
-const STRIDE: u32 = 32;
 /// What the picture is padded with.
 const GREY: u8 = 114;
 /// A box that ends this near to a border of the detector's picture ends at the border.
@@ -26,17 +24,20 @@ pub struct Letterbox {
 }
 
 impl Letterbox {
+    /// The detector's coarsest cell: sides of its pictures are multiples of it.
+    pub const STRIDE: u32 = 32;
+
     /// For a picture of this size (width, height), neither of them 0; `side` is the long side of the
     /// detector's picture, rounded up to a multiple of 32.
     pub fn new(picture: [u32; 2], side: u32) -> Self {
-        let side = f64::from(side.next_multiple_of(STRIDE));
+        let side = f64::from(side.next_multiple_of(Self::STRIDE));
         let scale = picture.map(|length| side / f64::from(length));
         let scale = scale[0].min(scale[1]);
         let resized = picture.map(|length| {
             let length = (f64::from(length) * scale).round_ties_even();
             length.clamp(1.0, side) as u32
         });
-        let half = resized.map(|length| f64::from((side as u32 - length) % STRIDE) / 2.0);
+        let half = resized.map(|length| f64::from((side as u32 - length) % Self::STRIDE) / 2.0);
         let pad = |shift: f64| half.map(|half| (half + shift).round_ties_even() as u32);
         let (before, after) = (pad(-0.1), pad(0.1));
         Self {
@@ -150,12 +151,12 @@ mod tests {
         ) {
             let letterbox = Letterbox::new([width, height], side);
             let [w, h] = letterbox.size();
-            prop_assert!(w % STRIDE == 0 && h % STRIDE == 0);
+            prop_assert!(w % Letterbox::STRIDE == 0 && h % Letterbox::STRIDE == 0);
             let [left, top] = letterbox.before.map(|edge| edge as f32);
             let [right, bottom] = [left + letterbox.resized[0] as f32, top + letterbox.resized[1] as f32];
             let corners = letterbox.to_picture([left, top, right, bottom]);
             // Rounding of sizes and padding: up to two pixels of the detector's picture.
-            let scale = f64::from(width.max(height)) / f64::from(side.next_multiple_of(STRIDE));
+            let scale = f64::from(width.max(height)) / f64::from(side.next_multiple_of(Letterbox::STRIDE));
             let off = |got: f32, want: f64| (f64::from(got) - want).abs() <= 2.0 * scale + 1e-3;
             prop_assert!(off(corners[0], 0.0) && off(corners[1], 0.0), "{:?}", corners);
             prop_assert!(off(corners[2], width.into()) && off(corners[3], height.into()), "{:?}", corners);

@@ -1,6 +1,5 @@
 //! From the decoder's small maps of logits to masks of the picture's size.
 
-use super::SamFrame;
 use crate::{Map, segment::Mask};
 use std::ops::Range;
 
@@ -44,16 +43,13 @@ pub struct MaskResize {
 }
 
 impl MaskResize {
-    /// From maps of `low` x `low` logits to masks of `size` (width, height), usually that of the picture
-    /// that `frame` was made for; none of them 0.
-    pub fn new(low: usize, frame: &SamFrame, size: [u32; 2]) -> Self {
+    /// From maps of `low` x `low` logits over a square of `side` pixels, of which the first `shown` columns
+    /// and rows are the picture ([`super::SamFrame`]), to masks of `size` (width, height), usually the
+    /// picture's own; none of them 0.
+    pub fn new(low: usize, side: u32, shown: [u32; 2], size: [u32; 2]) -> Self {
         let size = size.map(|length| length as usize);
-        let shown = frame.resized().map(|length| length as usize);
-        let in_low = |axis: usize| {
-            pairs(low, frame.side() as usize)
-                .take(shown[axis])
-                .collect()
-        };
+        let shown = shown.map(|length| length.min(side) as usize);
+        let in_low = |axis: usize| pairs(low, side as usize).take(shown[axis]).collect();
         let in_square = |axis: usize| pairs(shown[axis], size[axis]).collect();
         Self {
             low,
@@ -233,6 +229,7 @@ impl LastTwo {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::segment::mobilesamv2::SamFrame;
     use proptest::prelude::*;
 
     /// PyTorch's bilinear `interpolate` of a whole map, as its formula is written.
@@ -261,10 +258,9 @@ mod tests {
             logits in prop::collection::vec(-4.0_f32..1.0, 36),
             width in 1..40u32, height in 1..40u32,
         ) {
-            let frame = SamFrame::new([width, height], 24);
-            let resize = MaskResize::new(6, &frame, [width, height]);
+            let [wide, tall] = SamFrame::new([width, height], 24).resized();
+            let resize = MaskResize::new(6, 24, [wide, tall], [width, height]);
             let square = interpolated(&Map::new(6, 6, logits.clone()).unwrap(), [24, 24]);
-            let [wide, tall] = frame.resized();
             let want = interpolated(&Map::from_fn(wide, tall, |x, y| square[(x, y)]), [width, height]);
             let got = resize.logits(&logits);
             for (got, want) in got.values().iter().zip(want.values()) {
@@ -278,7 +274,7 @@ mod tests {
 
     #[test]
     fn a_map_without_logits_above_0_is_an_empty_mask() {
-        let resize = MaskResize::new(4, &SamFrame::new([8, 8], 16), [8, 8]);
+        let resize = MaskResize::new(4, 16, [16, 16], [8, 8]);
         assert_eq!(resize.mask(&[0.0; 16], 1.0).area(), 0);
         assert_eq!(resize.mask(&[f32::NAN; 16], 1.0).area(), 0);
         assert_eq!(resize.mask(&[1e-30; 16], 1.0).area(), 64);

@@ -19,6 +19,8 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
         "sam_preprocess" => pipeline::sam_preprocess,
         "mask_postprocess" => pipeline::mask_postprocess,
         "pe3r_mask_selection" => pipeline::pe3r_masks,
+        "pe3r_masks_from_image" => pipeline::pe3r_masks_from_image,
+        "segment_everything" => pipeline::segment_everything,
         "efficientvit_blocks" => efficient_vit::blocks,
         "efficientvit_sam" | "efficientvit_l2" => efficient_vit::network,
         "prompt_encoder" => decoder::prompts,
