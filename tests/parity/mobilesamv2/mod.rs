@@ -1,5 +1,6 @@
 //! MobileSAMv2: its networks and what is around them.
 
+mod decoder;
 mod detector;
 mod efficient_vit;
 mod picture;
@@ -13,9 +14,13 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
     Some(match model {
         "efficientvit_blocks" => efficient_vit::blocks,
         "efficientvit_sam" | "efficientvit_l2" => efficient_vit::network,
+        "mask_decoder" => decoder::masks,
+        "prompt_encoder" => decoder::prompts,
+        "prompt_guided_mask_decoder" => decoder::file,
         "sam_vit" | "sam_vit_h" => vit::network,
         "tiny_vit" => tiny_vit::network,
         "tiny_vit_blocks" => tiny_vit::blocks,
+        "two_way_transformer" => decoder::transformer,
         "yolo_blocks" => detector::blocks,
         "object_aware_yolov8" => detector::network,
         _ => return None,

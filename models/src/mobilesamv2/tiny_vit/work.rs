@@ -17,7 +17,7 @@ pub struct Work {
 
 impl Work {
     /// The work of a network of this configuration, which must be one.
-    pub(super) fn new(config: &Config) -> Self {
+    pub fn new(config: &Config) -> Self {
         let (dims, grids) = (&config.embed_dims, config.grids());
         let pixels = |i: usize| (grids[i] * grids[i]) as f64;
         let layer = |i: usize| {

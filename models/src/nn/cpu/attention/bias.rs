@@ -47,7 +47,7 @@ impl<'a> Relative<'a> {
 }
 
 /// A [`Bias`], with what is the same for all keys worked out.
-pub(super) struct Rows<'a> {
+pub(in crate::nn::cpu) struct Rows<'a> {
     bias: &'a Bias<'a>,
     /// For [`Bias::Relative`], for rows and for columns: the products of each query with all lines of
     /// the table, last line first.
@@ -126,6 +126,15 @@ impl Bias<'_> {
 }
 
 impl Rows<'_> {
+    /// Nothing is added.
+    pub(in crate::nn::cpu) fn none() -> Self {
+        Self {
+            bias: &Bias::None,
+            products: [&[]; 2],
+            line: &mut [],
+        }
+    }
+
     /// What is added to the scores of query `query` with the keys from `first` on, `count` numbers, if
     /// anything is; nothing for queries that are there to fill a panel.
     #[inline(always)]

@@ -24,14 +24,14 @@ pub(super) struct Head<'a> {
 }
 
 /// What is known of the queries after some blocks of keys.
-struct Sums<'a> {
+pub(in crate::nn::cpu) struct Sums<'a> {
     /// Greatest score (in units of the exponent of 2) for each query.
-    greatest: &'a mut [f32],
+    pub(in crate::nn::cpu) greatest: &'a mut [f32],
     /// Sum of weights relative to that.
-    weights: &'a mut [f32],
+    pub(in crate::nn::cpu) weights: &'a mut [f32],
     /// Weighted sums of values, each `width` numbers.
-    values: &'a mut [f32],
-    width: usize,
+    pub(in crate::nn::cpu) values: &'a mut [f32],
+    pub(in crate::nn::cpu) width: usize,
 }
 
 impl Task for Head<'_> {
@@ -133,13 +133,13 @@ unsafe fn pack_values<S: Simd>(simd: S, memory: &[[*const f32; 2]], dim: usize, 
 }
 
 /// A block of packed keys and values.
-struct KeyBlock<'a> {
-    k: &'a [f32],
-    v: &'a [f32],
+pub(in crate::nn::cpu) struct KeyBlock<'a> {
+    pub(in crate::nn::cpu) k: &'a [f32],
+    pub(in crate::nn::cpu) v: &'a [f32],
     /// The first one's number among all.
-    start: usize,
-    keys: usize,
-    dim: usize,
+    pub(in crate::nn::cpu) start: usize,
+    pub(in crate::nn::cpu) keys: usize,
+    pub(in crate::nn::cpu) dim: usize,
 }
 
 impl KeyBlock<'_> {
@@ -148,7 +148,7 @@ impl KeyBlock<'_> {
     /// There is room for `scores`, a tile for each panel of keys, and for `weights`, as many numbers
     /// and a vector.
     #[inline(always)]
-    fn attend<S: Simd>(
+    pub(in crate::nn::cpu) fn attend<S: Simd>(
         &self,
         simd: S,
         q: &[f32],

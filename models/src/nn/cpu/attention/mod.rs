@@ -17,6 +17,8 @@ use crate::nn::Memory;
 use bias::Bias;
 use head::Head;
 
+pub(super) use bias::Rows;
+pub(super) use head::{KeyBlock, Sums};
 pub(in crate::nn) use windows::window_attention;
 
 /// Queries of a task: at most, and at least if there are more. Packing a block of keys costs as much
