@@ -3,14 +3,16 @@
 //! Facts are from ChaoningZhang/MobileSAM, folder MobileSAMv2, at 34bbbfd, and hujiecpp/PE3R; tensor
 //! names are those of their checkpoints, after what a file puts before them.
 //!
-//! A [`detector`] finds boxes around whatever is a thing; an image encoder ([`efficient_vit`], the default,
-//! [`tiny_vit`] or [`vit`]) looks at the photo once; a decoder makes the mask of each box.
+//! A [`detector`] finds boxes around whatever is a thing; an [`ImageEncoder`] looks at the photo once; a
+//! [`decoder`] makes the mask of each box.
 
 pub mod decoder;
 pub mod detector;
 pub mod efficient_vit;
+mod encoder;
 mod neck;
 pub mod tiny_vit;
 pub mod vit;
 
+pub use encoder::ImageEncoder;
 pub use neck::Neck;
