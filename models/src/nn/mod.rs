@@ -16,13 +16,19 @@ pub mod cpu;
 mod layer_norm;
 mod linear;
 mod mlp;
+mod pool;
+mod resize;
 mod rope;
 
 pub use activation::Activation;
 pub use attention::{CrossAttention, Memory, SelfAttention, attention};
 pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
-pub use conv::{BatchNorm2d, Conv2d, Precision, convolve_in_turn};
+pub use conv::{
+    BatchNorm2d, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,
+};
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use mlp::Mlp;
+pub use pool::max_pool;
+pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};
 pub use rope::{Rope2d, Rotation};

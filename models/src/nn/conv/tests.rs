@@ -2,18 +2,16 @@ use candle_core::Device;
 
 use super::*;
 
-fn conv(inputs: usize, outputs: usize, kernel: usize) -> Conv2d {
+fn weights() -> Weights {
     let make = |name: &str, shape: &[usize]| {
         let value = |i: usize| ((i * 7919 + name.len()) % 23) as f32 / 23.0 - 0.4;
         (0..shape.iter().product()).map(value).collect()
     };
-    Conv2d::new(
-        inputs,
-        outputs,
-        kernel,
-        &Weights::from_fn(make, &Device::Cpu),
-    )
-    .unwrap()
+    Weights::from_fn(make, &Device::Cpu)
+}
+
+fn conv(inputs: usize, outputs: usize, kernel: usize) -> Conv2d {
+    Conv2d::new(inputs, outputs, kernel, &weights()).unwrap()
 }
 
 fn image(shape: (usize, usize, usize, usize)) -> Tensor {
@@ -48,6 +46,26 @@ fn like_candle() {
             let got = conv.forward_add(&x, &residual).unwrap();
             let error = error(&got, &(residual + &plain).unwrap());
             assert!(error < tolerance, "{conv:?}: {error}");
+        }
+    }
+}
+
+#[test]
+fn strides_without_bias_like_candle() {
+    for (inputs, outputs, kernel) in [(3, 40, 3), (40, 33, 3), (34, 3, 5), (5, 7, 1)] {
+        for stride in [1, 2] {
+            let (weights, x) = (weights(), image((2, 9, 6, inputs)));
+            let conv = Conv2d::without_bias(inputs, outputs, kernel, &weights).unwrap();
+            let conv = conv.with_stride(stride);
+            let got = conv.forward(&x, Activation::Identity).unwrap();
+            let size = if stride == 2 { [5, 3] } else { [9, 6] };
+            assert_eq!(got.dims(), [2, size[0], size[1], outputs]);
+            let plain = conv.plain(&x).unwrap();
+            assert!(error(&got, &plain) < 3e-6, "{conv:?}");
+            let residual = image((2, size[0], size[1], outputs));
+            let got = conv.forward_then_add(&x, Activation::Silu, &residual);
+            let want = residual + Activation::Silu.apply(&plain).unwrap();
+            assert!(error(&got.unwrap(), &want.unwrap()) < 3e-6, "{conv:?}");
         }
     }
 }
@@ -93,7 +111,7 @@ fn a_folded_norm_is_the_norm() {
         .forward(&x, Activation::Identity)
         .unwrap();
     let y = conv.plain(&x).unwrap();
-    let channel = |p: &Parameter| p.tensor().unwrap();
+    let channel = |p: &crate::Parameter| p.tensor().unwrap();
     let want = y
         .broadcast_sub(&channel(&norm.running_mean))
         .and_then(|y| y.broadcast_div(&(channel(&norm.running_var) + 1e-5)?.sqrt()?))
@@ -101,6 +119,24 @@ fn a_folded_norm_is_the_norm() {
         .and_then(|y| y.broadcast_add(&channel(&norm.bias)))
         .unwrap();
     assert!(error(&got, &want) < 2e-6);
+    assert!(error(&conv.folded(&norm).unwrap().plain(&x).unwrap(), &want) < 2e-6);
+    assert!(
+        conv.folded(&norm)
+            .and_then(|conv| conv.folded(&norm))
+            .is_err()
+    );
+    let other = BatchNorm2d::new(5, 1e-5, &weights()).unwrap();
+    assert!(conv.folded(&other).is_err());
+}
+
+#[test]
+fn norms_are_folded_without_values() {
+    // Networks are asked for the names of their tensors before there is a file.
+    let weights = Weights::names_only();
+    let norm = BatchNorm2d::new(4, 1e-5, &weights.pp("norm")).unwrap();
+    let conv = Conv2d::without_bias(3, 4, 3, &weights.pp("conv")).unwrap();
+    assert!(conv.folded(&norm).is_ok());
+    assert!(!weights.asked().contains_key("conv.bias"));
 }
 
 #[test]
@@ -108,7 +144,7 @@ fn in_turn_is_one_after_the_other() {
     let layers = [
         (conv(6, 40, 3), Activation::Selu),
         (conv(40, 36, 5), Activation::Relu),
-        (conv(36, 34, 1), Activation::Gelu),
+        (conv(36, 34, 1).with_stride(2), Activation::Gelu),
         (conv(34, 3, 3), Activation::Identity),
     ];
     for count in 1..=layers.len() {

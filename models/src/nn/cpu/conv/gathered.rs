@@ -21,6 +21,7 @@ pub(in crate::nn) struct Gathered {
     inputs: usize,
     outputs: usize,
     kernel: usize,
+    stride: usize,
     /// (kernel * kernel * inputs, outputs), in this order.
     filter: PackedFactor,
 }
@@ -31,6 +32,7 @@ impl Gathered {
             outputs,
             inputs,
             kernel,
+            stride,
             ..
         } = filter;
         let depth = kernel * kernel * inputs;
@@ -47,6 +49,7 @@ impl Gathered {
             inputs,
             outputs,
             kernel,
+            stride,
             filter: PackedFactor::pack_for(isa, rows),
         })
     }
@@ -85,12 +88,14 @@ impl Gathered {
         })
     }
 
-    /// The inputs around a pixel, which is counted through all images.
+    /// The inputs around an output's pixel, which is counted through all images.
     fn gather(&self, images: Images, x: &[f32], pixel: usize, window: &mut [f32]) {
         let Images { height, width, .. } = images;
         let (kernel, inputs) = (self.kernel, self.inputs);
-        let (row, column) = (pixel / width, pixel % width);
-        let (image, row) = (row / height, row % height);
+        let strided = images.strided(self.stride);
+        let (row, column) = (pixel / strided.width, pixel % strided.width);
+        let (image, row) = (row / strided.height, row % strided.height);
+        let (row, column) = (row * self.stride, column * self.stride);
         // Columns of the window that are inside of the image.
         let first = (kernel / 2).saturating_sub(column);
         let last = kernel.min(width + kernel / 2 - column);

@@ -1,10 +1,10 @@
-//! Convolutions in f32 on a CPU: odd square kernels, stride 1, zeros around the image, channels last.
+//! Convolutions in f32 on a CPU: odd square kernels, zeros around the image, channels last.
 //!
 //! Three ways lead to the same result, and [`Convolution::new`] chooses by kernel and channels:
 //!
-//! - [`winograd`]: fewer multiplications, for 3x3 and 5x5 kernels with many channels;
+//! - [`winograd`]: fewer multiplications, for 3x3 and 5x5 kernels of stride 1 with many channels;
 //! - [`gathered`]: the definition as one product of matrices, without an image of all windows;
-//! - [`shifted`]: the same for few outputs, the product first and the sum over the window after.
+//! - [`shifted`]: the same for few outputs and stride 1, the product first and the sum over the window after.
 
 mod epilogue;
 mod gathered;
@@ -32,6 +32,8 @@ pub(in crate::nn) struct Filter<'a> {
     pub(in crate::nn) inputs: usize,
     /// Odd.
     pub(in crate::nn) kernel: usize,
+    /// Pixels from one window to the next.
+    pub(in crate::nn) stride: usize,
 }
 
 impl Filter<'_> {
@@ -53,6 +55,15 @@ pub(in crate::nn) struct Images {
 impl Images {
     pub(in crate::nn) fn pixels(self) -> usize {
         self.batch * self.height * self.width
+    }
+
+    /// Of what a convolution of this stride makes of these images.
+    pub(in crate::nn) fn strided(self, stride: usize) -> Self {
+        Self {
+            height: self.height.div_ceil(stride),
+            width: self.width.div_ceil(stride),
+            ..self
+        }
     }
 
     /// Of a tensor of these images.
@@ -77,11 +88,11 @@ impl Convolution {
         // occur, on small images: reading four times the weights takes longer than multiplying.
         const WEIGHTS_FOR_LARGE_TILES: usize = 1 << 20;
         let large = fast && filter.inputs * filter.outputs <= WEIGHTS_FOR_LARGE_TILES;
-        let scheme = match (filter.kernel, large) {
-            (3, false) => Some(Scheme::F23),
-            (3, true) => Some(Scheme::F43),
-            (5, false) => Some(Scheme::F25),
-            (5, true) => Some(Scheme::F65),
+        let scheme = match (filter.kernel, filter.stride, large) {
+            (3, 1, false) => Some(Scheme::F23),
+            (3, 1, true) => Some(Scheme::F43),
+            (5, 1, false) => Some(Scheme::F25),
+            (5, 1, true) => Some(Scheme::F65),
             _ => None,
         };
         let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;
@@ -95,7 +106,7 @@ impl Convolution {
     }
 
     /// The convolution of `x`, which has `images.pixels()` times the inputs, finished by `epilogue`,
-    /// into `out`, which has as many times the outputs.
+    /// into `out`, which has the outputs for each pixel of the strided images.
     ///
     /// # Errors
     ///

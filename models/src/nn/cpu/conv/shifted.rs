@@ -32,7 +32,9 @@ impl Shifted {
         let products = (window * filter.outputs).next_multiple_of(columns);
         let gathered = window * filter.outputs.next_multiple_of(columns);
         // Sums cost about as much as 16 inputs' products.
-        filter.kernel > 1 && products * (filter.inputs + 16) < gathered * filter.inputs
+        filter.kernel > 1
+            && filter.stride == 1
+            && products * (filter.inputs + 16) < gathered * filter.inputs
     }
 
     pub(super) fn new(isa: Isa, filter: Filter<'_>) -> Result<Self> {

@@ -9,24 +9,31 @@ use crate::nn::cpu::scratch::Scratch;
 pub(in crate::nn) struct Stage<'a> {
     pub(in crate::nn) convolution: &'a Convolution,
     pub(in crate::nn) inputs: usize,
+    pub(in crate::nn) stride: usize,
     pub(in crate::nn) epilogue: Epilogue<'a>,
 }
 
 impl Stage<'_> {
-    /// Of `x`, which has `images.pixels()` times the inputs, into `out`, which has as many times the
-    /// outputs.
+    /// Numbers that come out of `images`.
+    fn size(&self, images: Images) -> usize {
+        images.strided(self.stride).pixels() * self.epilogue.bias.len()
+    }
+
+    /// Of `x`, which has `images.pixels()` times the inputs, into `out`, which has the outputs for each
+    /// pixel of the strided images.
     ///
     /// # Errors
     ///
     /// If the sizes do not fit each other.
     pub(in crate::nn) fn run(&self, images: Images, x: &[f32], out: &mut [f32]) -> Result<()> {
-        let (pixels, outputs) = (images.pixels(), self.epilogue.bias.len());
-        let residual = self.epilogue.residual.map_or(out.len(), <[f32]>::len);
-        if (x.len(), out.len()) != (pixels * self.inputs, pixels * outputs) || residual != out.len()
-        {
+        let (from, to) = (images.pixels() * self.inputs, self.size(images));
+        let residual = self.epilogue.residual.map_or(to, <[f32]>::len);
+        if (x.len(), out.len(), residual) != (from, to, to) {
             bail!(
-                "{pixels} pixels of {} channels to {outputs} are not {} numbers to {}",
+                "{images:?} of {} channels to {} of stride {} are not {} numbers to {}",
                 self.inputs,
+                self.epilogue.bias.len(),
+                self.stride,
                 x.len(),
                 out.len()
             );
@@ -54,10 +61,15 @@ pub(in crate::nn) fn in_turn(
         bail!("there are no convolutions");
     };
     let one = Images { batch: 1, ..images };
-    let size = |stage: &Stage<'_>| one.pixels() * stage.epilogue.bias.len();
-    let largest = between.iter().map(size).max().unwrap_or(0);
+    // Each stage's images, and those that come out at the end.
+    let mut sizes = vec![one];
+    for stage in stages {
+        sizes.push(sizes[sizes.len() - 1].strided(stage.stride));
+    }
+    let size = |i: usize| stages[i].size(sizes[i]);
+    let largest = (0..between.len()).map(size).max().unwrap_or(0);
     let mut buffers = [Scratch::take(largest), Scratch::take(largest)];
-    let (from, to) = (one.pixels() * stages[0].inputs, size(last));
+    let (from, to) = (one.pixels() * stages[0].inputs, size(between.len()));
     if (x.len(), out.len()) != (images.batch * from, images.batch * to) {
         bail!(
             "{} numbers and {} are not those of {images:?}",
@@ -71,13 +83,14 @@ pub(in crate::nn) fn in_turn(
         let [current, next] = &mut buffers;
         let (mut current, mut next) = (current, next);
         let mut filled = None;
-        for stage in between {
+        for (i, stage) in between.iter().enumerate() {
             let x = filled.map_or(x, |count| &current[..count]);
-            stage.run(one, x, &mut next[..size(stage)])?;
-            filled = Some(size(stage));
+            stage.run(sizes[i], x, &mut next[..size(i)])?;
+            filled = Some(size(i));
             std::mem::swap(&mut current, &mut next);
         }
-        last.run(one, filled.map_or(x, |count| &current[..count]), out)?;
+        let x = filled.map_or(x, |count| &current[..count]);
+        last.run(sizes[between.len()], x, out)?;
     }
     Ok(())
 }

@@ -53,6 +53,7 @@ struct Layer {
     inputs: usize,
     outputs: usize,
     kernel: usize,
+    stride: usize,
     x: Vec<f32>,
     weight: Vec<f32>,
     bias: Vec<f32>,
@@ -80,6 +81,7 @@ impl Layer {
             inputs,
             outputs,
             kernel,
+            stride: 1,
             x: numbers(seed, images.pixels() * inputs),
             weight: numbers(seed + 1, outputs * inputs * kernel * kernel),
             bias: numbers(seed + 2, outputs),
@@ -92,6 +94,7 @@ impl Layer {
             outputs: self.outputs,
             inputs: self.inputs,
             kernel: self.kernel,
+            stride: self.stride,
         }
     }
 
@@ -105,7 +108,7 @@ impl Layer {
     }
 
     fn run_with(&self, way: Way, isa: Isa, epilogue: Epilogue<'_>) -> Vec<f32> {
-        let mut out = vec![f32::NAN; self.images.pixels() * self.outputs];
+        let mut out = vec![f32::NAN; self.images.strided(self.stride).pixels() * self.outputs];
         let convolution = way.prepare(isa, self.filter());
         (convolution.run(self.images, &self.x, epilogue, &mut out)).unwrap();
         out
@@ -114,10 +117,12 @@ impl Layer {
     /// By the definition, in f64.
     fn want(&self) -> Vec<f64> {
         let Images { height, width, .. } = self.images;
+        let strided = self.images.strided(self.stride);
         let mut want = Vec::new();
-        for pixel in 0..self.images.pixels() {
-            let (row, column) = (pixel / width, pixel % width);
-            let (image, row) = (row / height, row % height);
+        for pixel in 0..strided.pixels() {
+            let (row, column) = (pixel / strided.width, pixel % strided.width);
+            let (image, row) = (row / strided.height, row % strided.height);
+            let (row, column) = (row * self.stride, column * self.stride);
             let mut sums: Vec<f64> = self.bias.iter().map(|&b| b.into()).collect();
             for i in 0..self.kernel {
                 for j in 0..self.kernel {
@@ -178,6 +183,30 @@ proptest! {
                 let error = error(&layer.run(way, isa), &want);
                 prop_assert!(error < way.tolerance(), "{way:?} on {isa}: {error}");
             }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn strides_skip_pixels(
+        seed in 0_u64..1000,
+        size in (1_usize..3, 1_usize..30, 1_usize..30),
+        inputs in prop::sample::select(vec![1, 3, 16, 17]),
+        outputs in prop::sample::select(vec![1, 6, 17, 33]),
+        kernel in prop::sample::select(vec![1, 3, 5]),
+        stride in 2_usize..4,
+    ) {
+        let layer = Layer {
+            stride,
+            ..Layer::random(seed, images(size.0, size.1, size.2), inputs, outputs, kernel)
+        };
+        let want = layer.want();
+        for isa in Isa::available() {
+            let error = error(&layer.run(Way::Gathered, isa), &want);
+            prop_assert!(error < 1e-6, "{isa}: {error}");
         }
     }
 }
@@ -263,12 +292,13 @@ fn results_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn the_way_suits_the_layer() {
     let isa = Isa::available()[0];
-    let way = |inputs, outputs, kernel: usize, fast| {
+    let strided = |inputs, outputs, kernel: usize, stride, fast| {
         let filter = Filter {
             values: &vec![0.0; inputs * outputs * kernel * kernel],
             outputs,
             inputs,
             kernel,
+            stride,
         };
         match Convolution::new(isa, filter, fast).unwrap() {
             Convolution::Winograd(_) => "winograd",
@@ -276,10 +306,13 @@ fn the_way_suits_the_layer() {
             Convolution::Shifted(_) => "shifted",
         }
     };
+    let way = |inputs, outputs, kernel, fast| strided(inputs, outputs, kernel, 1, fast);
     assert_eq!(way(6, 256, 3, true), "gathered");
     assert_eq!(way(64, 64, 3, false), "winograd");
     assert_eq!(way(64, 64, 5, true), "winograd");
     assert_eq!(way(256, 3, 3, true), "shifted");
     assert_eq!(way(64, 64, 1, true), "gathered");
     assert_eq!(way(64, 64, 7, true), "gathered");
+    assert_eq!(strided(64, 64, 3, 2, true), "gathered");
+    assert_eq!(strided(64, 3, 3, 2, true), "gathered");
 }

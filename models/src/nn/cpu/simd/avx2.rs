@@ -52,6 +52,7 @@ impl Simd for Avx2 {
         add(a: V, b: V) = _mm256_add_ps;
         sub(a: V, b: V) = _mm256_sub_ps;
         mul(a: V, b: V) = _mm256_mul_ps;
+        div(a: V, b: V) = _mm256_div_ps;
         fma(a: V, b: V, c: V) = _mm256_fmadd_ps;
         fnma(a: V, b: V, c: V) = _mm256_fnmadd_ps;
         max(a: V, b: V) = _mm256_max_ps;

@@ -48,6 +48,7 @@ impl Simd for Avx512 {
         add(a: V, b: V) = _mm512_add_ps;
         sub(a: V, b: V) = _mm512_sub_ps;
         mul(a: V, b: V) = _mm512_mul_ps;
+        div(a: V, b: V) = _mm512_div_ps;
         fma(a: V, b: V, c: V) = _mm512_fmadd_ps;
         fnma(a: V, b: V, c: V) = _mm512_fnmadd_ps;
         max(a: V, b: V) = _mm512_max_ps;

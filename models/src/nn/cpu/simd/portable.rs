@@ -42,6 +42,11 @@ impl Simd for Portable {
         zip(a, b, |a, b| a * b)
     }
 
+    #[inline(always)]
+    fn div(self, a: V, b: V) -> V {
+        zip(a, b, |a, b| a / b)
+    }
+
     // `f32::mul_add` is a slow library call where the target has no such instruction.
     #[inline(always)]
     fn fma(self, a: V, b: V, c: V) -> V {
