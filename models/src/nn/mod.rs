@@ -13,8 +13,10 @@ mod attention;
 mod block;
 mod conv;
 pub mod cpu;
+mod grouped;
 mod layer_norm;
 mod linear;
+mod linear_attention;
 mod mlp;
 mod pool;
 mod resize;
@@ -26,8 +28,10 @@ pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
 pub use conv::{
     BatchNorm2d, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,
 };
+pub use grouped::GroupedLinear;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
+pub use linear_attention::linear_attention;
 pub use mlp::Mlp;
 pub use pool::max_pool;
 pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};

@@ -1,6 +1,7 @@
 //! MobileSAMv2: its networks and what is around them.
 
 mod detector;
+mod efficient_vit;
 mod picture;
 
 use crate::Runner;
@@ -10,6 +11,8 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
     Some(match model {
         "yolo_blocks" => detector::blocks,
         "object_aware_yolov8" => detector::network,
+        "efficientvit_blocks" => efficient_vit::blocks,
+        "efficientvit_sam" | "efficientvit_l2" => efficient_vit::network,
         _ => return None,
     })
 }
