@@ -6,5 +6,11 @@
 //! A [`detector`] finds boxes around whatever is a thing; an image encoder looks at the photo once; a
 //! decoder makes the mask of each box.
 
+pub mod decoder;
 pub mod detector;
 pub mod efficient_vit;
+mod neck;
+pub mod tiny_vit;
+pub mod vit;
+
+pub use neck::Neck;

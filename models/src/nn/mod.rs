@@ -11,8 +11,10 @@
 mod activation;
 mod attention;
 mod block;
+mod by_head;
 mod conv;
 pub mod cpu;
+mod exchange;
 mod grouped;
 mod layer_norm;
 mod linear;
@@ -21,6 +23,8 @@ mod mlp;
 mod pool;
 mod resize;
 mod rope;
+mod upscaling;
+mod window_attention;
 
 pub use activation::Activation;
 pub use attention::{CrossAttention, Memory, SelfAttention, attention};
@@ -28,6 +32,7 @@ pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
 pub use conv::{
     BatchNorm2d, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,
 };
+pub use exchange::{Told, exchange};
 pub use grouped::GroupedLinear;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
@@ -36,3 +41,5 @@ pub use mlp::Mlp;
 pub use pool::max_pool;
 pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};
 pub use rope::{Rope2d, Rotation};
+pub use upscaling::Upscaling;
+pub use window_attention::{ScoreBias, window_attention};

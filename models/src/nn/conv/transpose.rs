@@ -10,9 +10,9 @@ use crate::{Parameter, Weights};
 #[derive(Clone, Debug)]
 pub struct ConvTranspose2d {
     /// (inputs, outputs, kernel, kernel).
-    weight: Parameter,
+    pub(in crate::nn) weight: Parameter,
     /// (outputs).
-    bias: Parameter,
+    pub(in crate::nn) bias: Parameter,
 }
 
 impl ConvTranspose2d {

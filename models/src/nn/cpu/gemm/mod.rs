@@ -22,11 +22,10 @@ use candle_core::{Result, bail};
 use super::scratch::Scratch;
 use crate::nn::Activation;
 use block::{Block, Panels};
-use pack::pack_rows;
 
 pub use matrix::{Factor, Matrix, MatrixMut};
 pub use pack::PackedFactor;
-pub(in crate::nn::cpu) use pack::pack_lines;
+pub(in crate::nn::cpu) use pack::{pack_lines, pack_rows};
 pub use parallel::gemm;
 pub(in crate::nn::cpu) use parallel::gemm_into;
 
