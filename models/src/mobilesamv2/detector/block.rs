@@ -49,7 +49,7 @@ impl ConvBlock {
 
     /// The same, added to `residual`.
     fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
-        residual + self.forward(x)?
+        self.conv.forward_then_add(x, Activation::Silu, residual)
     }
 }
 

@@ -1,9 +1,5 @@
 //! How much memory a run takes.
 
-use candle_core::Result;
-
-use super::{Config, Detector};
-
 /// Estimated peak of memory of one run, in bytes, without what the program itself needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
