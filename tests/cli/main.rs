@@ -17,6 +17,7 @@ mod place;
 mod reconstruct;
 mod recording;
 mod render;
+mod segment;
 mod stages;
 mod usage;
 mod weights;

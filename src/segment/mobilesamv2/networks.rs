@@ -6,38 +6,11 @@ use rayon::prelude::*;
 use tid3r_models::{
     Observer,
     mobilesamv2::{
+        ImageEncoder,
         decoder::{Decoder, Masks, Options},
         detector::Detector,
-        efficient_vit::EfficientVit,
-        tiny_vit::TinyVit,
-        vit::Vit,
     },
 };
-
-/// An image encoder; all make the same of a picture: (1, 64, 64, 256) of (1, 1024, 1024, 3).
-#[derive(Debug)]
-pub enum Encoder {
-    /// EfficientViT-SAM.
-    EfficientVit(EfficientVit),
-    /// MobileSAM's.
-    TinyVit(TinyVit),
-    /// SAM's.
-    Vit(Vit),
-}
-
-impl Encoder {
-    /// The features of a picture as [`SamFrame::tensor`] makes it.
-    ///
-    /// # Errors
-    /// When it has another size.
-    pub fn forward(&self, image: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
-        match self {
-            Self::EfficientVit(encoder) => encoder.forward_observed(image, observer),
-            Self::TinyVit(encoder) => encoder.forward_observed(image, observer),
-            Self::Vit(encoder) => encoder.forward_observed(image, observer),
-        }
-    }
-}
 
 /// The three networks, which make objects of a picture together.
 #[derive(Debug)]
@@ -45,7 +18,7 @@ pub struct Networks {
     /// Finds boxes.
     pub detector: Detector,
     /// Looks at the picture once.
-    pub encoder: Encoder,
+    pub encoder: ImageEncoder,
     /// Makes a mask of each box.
     pub decoder: Decoder,
 }

@@ -3,6 +3,7 @@
 use crate::photos::{PillowFilter, pillow_resize};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
+use tid3r_models::mobilesamv2::ImageEncoder;
 
 /// SAM's normalisation, of red, green and blue from 0 to 255.
 const MEAN: [f32; 3] = [123.675, 116.28, 103.53];
@@ -22,7 +23,7 @@ pub struct SamFrame {
 
 impl SamFrame {
     /// Side of the square that the encoders see.
-    pub const SIDE: u32 = 1024;
+    pub const SIDE: u32 = ImageEncoder::SIDE as u32;
 
     /// For a picture of this size (width, height), neither of them 0, in a square of `side` pixels.
     pub fn new(picture: [u32; 2], side: u32) -> Self {

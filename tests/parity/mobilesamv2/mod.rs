@@ -20,6 +20,7 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
         "mask_decoder" => decoder::masks,
         "mask_postprocess" => pipeline::mask_postprocess,
         "nms" => pipeline::nms,
+        "object_aware_model" => pipeline::object_aware_model,
         "object_aware_yolov8" => detector::network,
         "pe3r_mask_selection" => pipeline::pe3r_masks,
         "pe3r_masks_from_image" => pipeline::pe3r_masks_from_image,

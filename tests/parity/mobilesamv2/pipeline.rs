@@ -7,14 +7,15 @@ use image::RgbImage;
 use serde::Deserialize;
 use tid3r::segment::{
     Mask, by_area,
-    mobilesamv2::{BoxSelection, Detection, Encoder, Letterbox, MaskResize, Networks, SamFrame},
+    mobilesamv2::{BoxSelection, Detection, Letterbox, MaskResize, Networks, SamFrame},
     painted, without_duplicates,
 };
 use tid3r_models::{
     Parameter, Unobserved, Weights,
     mobilesamv2::{
+        ImageEncoder,
         decoder::{self, Decoder},
-        detector::{self, Detector},
+        detector::{self, Detector, MaskCoefficients},
         efficient_vit::{self, EfficientVit},
         vit::{self, Vit},
     },
@@ -289,7 +290,7 @@ struct Steps {
 }
 
 /// Compares everything up to the masks of each box.
-fn steps(case: &Case, encoder: Encoder, comparison: &mut Comparison) -> Result<Steps> {
+fn steps(case: &Case, encoder: ImageEncoder, comparison: &mut Comparison) -> Result<Steps> {
     let pipeline: Pipeline = case.config()?;
     let weights = case.weights_of("detector")?;
     let networks = Networks {
@@ -356,7 +357,7 @@ pub(crate) fn segment_everything(case: &Case, comparison: &mut Comparison) -> Re
     let config: Config = case.config()?;
     let weights = case.weights_of("encoder")?;
     let encoder = EfficientVit::new(&config.encoder, &weights)?;
-    let steps = steps(case, Encoder::EfficientVit(encoder), comparison)?;
+    let steps = steps(case, ImageEncoder::EfficientVit(encoder), comparison)?;
     let corners = steps
         .boxes
         .iter()
@@ -391,7 +392,7 @@ pub(crate) fn pe3r_masks_from_image(case: &Case, comparison: &mut Comparison) ->
     let config: Config = case.config()?;
     let weights = case.weights_of("sam_vit")?;
     let encoder = Vit::new(&config.sam_vit, &weights)?;
-    let steps = steps(case, Encoder::Vit(encoder), comparison)?;
+    let steps = steps(case, ImageEncoder::Vit(encoder), comparison)?;
     let (height, width) = steps.size;
     let mut order = by_area(&steps.masks);
     let share = |k: usize| steps.masks[k].area() as f32 / (height * width) as f32;
@@ -404,6 +405,50 @@ pub(crate) fn pe3r_masks_from_image(case: &Case, comparison: &mut Comparison) ->
     );
     let kept: Vec<Mask> = kept.iter().map(|&k| steps.masks[k].clone()).collect();
     comparison.check_all_but("result", &bitmaps(&kept, steps.size)?, SHARE, 1.0);
+    Ok(())
+}
+
+/// A detector from its published form of file, with what is before and after it.
+pub(crate) fn object_aware_model(case: &Case, comparison: &mut Comparison) -> Result<()> {
+    #[derive(Deserialize)]
+    struct Config {
+        #[serde(flatten)]
+        sizes: DetectorSizes,
+        imgsz: u32,
+        conf: f32,
+        iou: f64,
+        max_det: usize,
+    }
+    let config: Config = case.config()?;
+    let sizes = config.sizes.config();
+    let detector = Detector::new(&sizes, &case.weights()?)?;
+    let picture = picture(case.input("image")?)?;
+    let letterbox = Letterbox::new([picture.width(), picture.height()], config.imgsz);
+    let image = Letterbox::tensor(&letterbox.apply(&picture))?;
+    let prediction = detector.forward(&image, &mut Unobserved)?;
+    let anchors_last = |x: &Tensor| x.t()?.unsqueeze(0)?.contiguous();
+    comparison.check_sampled("boxes", &anchors_last(&prediction.boxes)?)?;
+    comparison.check_sampled("scores", &anchors_last(&prediction.scores)?)?;
+    let levels = detector.features(&image, &mut Unobserved)?;
+    let weights = case.unconverted_weights()?.pp("model.22");
+    let coefficients = MaskCoefficients::new(&sizes, &weights)?.forward(&levels)?;
+    comparison.check_sampled("mask_coefficients", &anchors_last(&coefficients)?)?;
+    let rule = BoxSelection {
+        confidence: config.conf,
+        iou: config.iou,
+        most: config.max_det,
+    };
+    let boxes = rule.select(
+        &fours(&prediction.boxes)?,
+        &floats(&prediction.scores)?,
+        config.sizes.nc,
+    );
+    let corners = boxes
+        .iter()
+        .map(|found| letterbox.to_picture(letterbox.snapped(found.corners)));
+    comparison.check("xyxy", &four_columns(corners)?);
+    let scores: Vec<f32> = boxes.iter().map(|found| found.score).collect();
+    comparison.check("score", &Tensor::new(scores, &Device::Cpu)?);
     Ok(())
 }
 
