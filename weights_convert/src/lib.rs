@@ -45,7 +45,7 @@ pub use error::{Error, Result};
 pub use find::{Found, Place, Places, find};
 pub use folder::{CONFIG_FILE, ConfigFile, Provenance, WEIGHTS_FILE, Written};
 pub use manifest::{Manifest, TensorSpec};
-pub use networks::{Config, Network};
+pub use networks::{Config, Network, Source};
 pub use precision::Precision;
 pub use progress::Step;
 pub use safetensors::Dtype;
