@@ -70,10 +70,9 @@ mod tests {
             (memory.weights as f64 / 8e6 - 5.75).abs() < 0.1,
             "{memory:?}"
         );
-        assert_eq!(
-            memory.working,
-            4 * (3 * 1024 * 1024 + 256 * 256 * (64 + 2 * 256))
-        );
+        let layers = 256 * 256 * (64 + 128 + 32);
+        let bands = 2 << 20;
+        assert_eq!(memory.working, 4 * (3 * 1024 * 1024 + layers + bands));
         assert_eq!(memory.total(), memory.weights + memory.working);
     }
 }
