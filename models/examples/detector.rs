@@ -13,7 +13,8 @@ use tid3r_models::{Observer, Weights};
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1).map(|n| n.parse::<usize>());
-    let mut number = |default| (arguments.next().transpose().map_err(Error::wrap)).map(|n| n.unwrap_or(default));
+    let mut number =
+        |default| (arguments.next().transpose().map_err(Error::wrap)).map(|n| n.unwrap_or(default));
     let (runs, height, width) = (number(5)?, number(768)?, number(1024)?);
     let config = Config::released();
     let work = Work::new(&config, (height, width))?;
@@ -36,7 +37,10 @@ fn main() -> Result<()> {
             *least = least.min(seconds);
         }
     }
-    println!("{:<8} {:>9} {:>8} {:>9}", "layer", "best ms", "GMAC", "GFLOP/s");
+    println!(
+        "{:<8} {:>9} {:>8} {:>9}",
+        "layer", "best ms", "GMAC", "GFLOP/s"
+    );
     let line = |name: &str, seconds: f64, work: f64| {
         let (giga, rate) = (work / 1e9, 2e-9 * work / seconds);
         println!("{name:<8} {:>9.1} {giga:>8.2} {rate:>9.0}", 1e3 * seconds);
@@ -57,7 +61,10 @@ fn main() -> Result<()> {
     let median = totals.get(totals.len() / 2).copied().unwrap_or(f64::NAN);
     line("all", best.values().sum(), work.total());
     line("median", median, work.total());
-    println!("{height} x {width}, {} threads, {runs} runs", rayon::current_num_threads());
+    println!(
+        "{height} x {width}, {} threads, {runs} runs",
+        rayon::current_num_threads()
+    );
     Ok(())
 }
 
@@ -95,7 +102,14 @@ fn numbers(count: usize) -> impl Iterator<Item = f32> {
 fn made_up(name: &str, shape: &[usize]) -> Vec<f32> {
     let count = shape.iter().product();
     if shape.len() < 4 {
-        return vec![if name.ends_with("bias") || name.ends_with("mean") { 0.0 } else { 1.0 }; count];
+        return vec![
+            if name.ends_with("bias") || name.ends_with("mean") {
+                0.0
+            } else {
+                1.0
+            };
+            count
+        ];
     }
     let inputs: usize = shape.iter().skip(1).product();
     let scale = 4.0 / (inputs as f32).sqrt();

@@ -77,9 +77,7 @@ impl Config {
     pub fn from_shapes(shapes: &BTreeMap<String, Vec<usize>>) -> Result<Self> {
         let size = |name: &str, axis: usize| {
             let shape = shapes.get(name).ok_or_else(|| {
-                Error::Msg(format!(
-                    "the tensor {name} of a YOLOv8 detector is missing"
-                ))
+                Error::Msg(format!("the tensor {name} of a YOLOv8 detector is missing"))
             })?;
             shape.get(axis).copied().ok_or_else(|| {
                 let wanted = axis + 1;
