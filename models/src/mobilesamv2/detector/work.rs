@@ -145,7 +145,7 @@ mod tests {
         assert_eq!(stem.total, (384 * 512 * 27 * 80) as f64);
         assert_eq!(stem.saved, 0.0);
         // 1x1 of 160 to 160 and of 400 to 160, and six 3x3 of 80 to 80.
-        let pixels = 192 * 256;
+        let pixels = 192 * 256_usize;
         assert_eq!(
             c2f.computed(),
             (pixels * (160 * 160 + 400 * 160 + 6 * 80 * 80 * 9 / 4)) as f64
