@@ -23,9 +23,9 @@ struct Stage {
 /// What halves the image.
 #[derive(Clone, Debug)]
 enum Halving {
-    Conv(Conv2d),
-    Fused(FusedMbConv),
-    Mb(MbConv),
+    Conv(Box<Conv2d>),
+    Fused(Box<FusedMbConv>),
+    Mb(Box<MbConv>),
 }
 
 /// What changes neither size nor channels.
@@ -33,8 +33,8 @@ enum Halving {
 enum Block {
     Res(ResBlock),
     Fused(FusedMbConv),
-    Mb(MbConv),
-    Attention(EfficientVitBlock),
+    Mb(Box<MbConv>),
+    Attention(Box<EfficientVitBlock>),
 }
 
 /// Hidden channels of the blocks that halve the image, as a multiple of the inputs; stage by stage.
@@ -84,10 +84,15 @@ impl Stage {
             _ => config.width_list[i - 1],
         };
         let halved = Sizes::halving(inputs, outputs, HALVING_EXPAND[i]);
+        let first = weights.pp(0);
+        let main = first.pp("main");
         let halving = match i {
-            0 => Halving::Conv(normed(inputs, outputs, 3, eps, &weights.pp(0))?.with_stride(2)),
-            1 | 2 => Halving::Fused(FusedMbConv::new(halved, eps, &weights.pp(0).pp("main"))?),
-            _ => Halving::Mb(MbConv::new(halved, eps, &weights.pp(0).pp("main"))?),
+            0 => {
+                let conv = normed(inputs, outputs, 3, eps, &first)?;
+                Halving::Conv(Box::new(conv.with_stride(2)))
+            }
+            1 | 2 => Halving::Fused(Box::new(FusedMbConv::new(halved, eps, &main)?)),
+            _ => Halving::Mb(Box::new(MbConv::new(halved, eps, &main)?)),
         };
         let block = |block: usize| {
             let weights = weights.pp(block);
@@ -95,13 +100,11 @@ impl Stage {
             Ok(match i {
                 0 => Block::Res(ResBlock::new(outputs, eps, &main)?),
                 1 | 2 => Block::Fused(FusedMbConv::new(same, eps, &main)?),
-                3 => Block::Mb(MbConv::new(same, eps, &main)?),
-                _ => Block::Attention(EfficientVitBlock::new(
-                    outputs,
-                    config.qkv_dim,
-                    eps,
-                    &weights,
-                )?),
+                3 => Block::Mb(Box::new(MbConv::new(same, eps, &main)?)),
+                _ => {
+                    let block = EfficientVitBlock::new(outputs, config.qkv_dim, eps, &weights)?;
+                    Block::Attention(Box::new(block))
+                }
             })
         };
         Ok(Self {

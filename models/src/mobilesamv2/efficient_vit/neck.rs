@@ -56,20 +56,14 @@ impl Neck {
         work: &Work,
         observer: &mut dyn Observer,
     ) -> Result<Tensor> {
-        let mut sum: Option<Tensor> = None;
-        // From the last one on, as the original adds them.
-        for (i, conv) in self.inputs.iter().enumerate().rev() {
-            let input = conv.forward(&stages[STAGES[i]], Activation::Identity)?;
+        let mut input = |i: usize| {
+            let input = self.inputs[i].forward(&stages[STAGES[i]], Activation::Identity)?;
             let input = resize_bicubic(&input, Self::SIDE, Self::SIDE)?;
             observer.stage(&format!("neck_in{i}"), &|| Ok(input.clone()))?;
-            sum = Some(match sum {
-                Some(sum) => (input + sum)?,
-                None => input,
-            });
-        }
-        let Some(mut x) = sum else {
-            candle_core::bail!("a neck without inputs")
+            Ok::<_, candle_core::Error>(input)
         };
+        // In this order, as the original adds them.
+        let mut x = (input(0)? + (input(1)? + input(2)?)?)?;
         observer.advance(work.neck_ends);
         for block in &self.middle {
             x = block.forward_add(&x)?;

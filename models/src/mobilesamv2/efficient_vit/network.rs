@@ -80,3 +80,72 @@ impl EfficientVit {
         self.norm.forward(&features)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{DType, Device};
+
+    use super::*;
+
+    fn small() -> EfficientVit {
+        let config = Config {
+            width_list: [4, 4, 8, 8, 16],
+            depth_list: [1, 1, 1, 1, 1],
+            qkv_dim: 8,
+            head_width: 8,
+            head_depth: 2,
+            out_dim: 4,
+            ..Config::released()
+        };
+        let make = |name: &str, shape: &[usize]| {
+            let seed = name.len();
+            let value = move |i: usize| ((i * 7919 + seed) % 1009) as f32 / 1009.0 - 0.4;
+            (0..shape.iter().product())
+                .map(value)
+                .map(f32::abs)
+                .collect()
+        };
+        EfficientVit::new(&config, &Weights::from_fn(make, &Device::Cpu)).unwrap()
+    }
+
+    /// Adds up what is said to be done.
+    struct Done(f64, Vec<String>);
+
+    impl Observer for Done {
+        fn stage(&mut self, name: &str, tensor: &dyn Fn() -> Result<Tensor>) -> Result<()> {
+            self.1.push(format!("{name} {:?}", tensor()?.dims()));
+            Ok(())
+        }
+
+        fn advance(&mut self, multiply_adds: f64) {
+            self.0 += multiply_adds;
+        }
+    }
+
+    #[test]
+    fn images_of_a_batch_are_independent_and_all_work_is_told_of() {
+        let network = small();
+        let images = Tensor::randn(0.0_f32, 1.0, (2, 32, 48, 3), &Device::Cpu).unwrap();
+        let mut done = Done(0.0, Vec::new());
+        let both = network.forward_observed(&images, &mut done).unwrap();
+        assert_eq!(both.dims(), [2, 64, 64, 4]);
+        assert!((done.0 / Work::new(network.config()).total() - 1.0).abs() < 1e-9);
+        assert_eq!(done.1.len(), 9, "{:?}", done.1);
+        assert_eq!(done.1[4], "stage4 [2, 16, 16, 16]");
+        for i in 0..2 {
+            let alone = network.forward(&images.narrow(0, i, 1).unwrap()).unwrap();
+            let difference = (alone - both.narrow(0, i, 1).unwrap())
+                .unwrap()
+                .abs()
+                .unwrap();
+            let largest = difference.max_all().unwrap().to_scalar::<f32>().unwrap();
+            assert!(largest < 1e-4, "{largest}");
+        }
+    }
+
+    #[test]
+    fn images_of_other_colours_are_refused() {
+        let grey = Tensor::zeros((1, 64, 64, 1), DType::F32, &Device::Cpu).unwrap();
+        assert!(small().forward(&grey).is_err());
+    }
+}
