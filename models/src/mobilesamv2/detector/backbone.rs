@@ -39,7 +39,7 @@ impl Backbone {
     pub(super) fn forward(&self, image: &Tensor, watch: &mut Watch<'_>) -> Result<[Tensor; 3]> {
         let mut x = self.stem.forward(image)?;
         watch.done(0, &x)?;
-        let mut stage = |(i, x): (usize, &Tensor)| {
+        let mut stage = |i: usize, x: &Tensor| {
             let (halve, mix) = &self.stages[i];
             let half = halve.forward(x)?;
             watch.done(2 * i + 1, &half)?;
@@ -47,11 +47,11 @@ impl Backbone {
             watch.done(2 * i + 2, &mixed)?;
             Ok::<_, candle_core::Error>(mixed)
         };
-        x = stage((0, &x))?;
-        let fine = stage((1, &x))?;
+        x = stage(0, &x)?;
+        let fine = stage(1, &x)?;
         drop(x);
-        let middle = stage((2, &fine))?;
-        let coarse = self.sppf.forward(&stage((3, &middle))?)?;
+        let middle = stage(2, &fine)?;
+        let coarse = self.sppf.forward(&stage(3, &middle)?)?;
         watch.done(9, &coarse)?;
         Ok([fine, middle, coarse])
     }

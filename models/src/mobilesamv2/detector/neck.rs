@@ -48,7 +48,7 @@ impl Neck {
         let finest = self.down[1].forward_of(&[&halfway, &fine])?;
         watch.done(15, &finest)?;
         drop(fine);
-        let mut join = |(i, fine, coarse): (usize, &Tensor, Tensor)| {
+        let mut join = |i: usize, fine: &Tensor, coarse: Tensor| {
             let (halve, mix) = &self.up[i];
             let half = halve.forward(fine)?;
             watch.done(16 + 3 * i, &half)?;
@@ -56,8 +56,8 @@ impl Neck {
             watch.done(18 + 3 * i, &mixed)?;
             Ok::<_, candle_core::Error>(mixed)
         };
-        let middle = join((0, &finest, halfway))?;
-        let coarse = join((1, &middle, coarse))?;
+        let middle = join(0, &finest, halfway)?;
+        let coarse = join(1, &middle, coarse)?;
         Ok([finest, middle, coarse])
     }
 }
