@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 use candle_core::{Device, Error, Result, Tensor};
 use tid3r_models::Weights;
 use tid3r_models::nn::cpu::measured_peak_flops;
-use tid3r_models::nn::{Activation, Conv2d, Precision, convolve_in_turn};
+use tid3r_models::nn::{
+    Activation, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,
+};
 
 /// A layer and what it works on.
 struct Layer {
@@ -79,6 +81,18 @@ const LAYERS: [Layer; 31] = [
     layer("7x7", (64, 64), 7, 1, (112, 112)),
 ];
 
+/// EfficientViT L2's depthwise convolutions: channels, kernel, stride, height and width.
+const DEPTHWISE: [(usize, usize, usize, usize); 5] = [
+    (1024, 3, 1, 32),
+    (2048, 3, 2, 64),
+    (6144, 3, 2, 32),
+    (3072, 3, 1, 16),
+    (1536, 5, 1, 16),
+];
+
+/// The mask decoder's transposed convolutions, for ten masks: inputs, outputs, height and width.
+const TRANSPOSED: [(usize, usize, usize); 2] = [(256, 64, 64), (64, 32, 128)];
+
 const PRECISIONS: [Precision; 2] = [Precision::Exact, Precision::Fast];
 
 /// Inputs, outputs and kernel of MV-DUSt3R's skip branch, layer by layer.
@@ -119,6 +133,34 @@ fn main() -> Result<()> {
             })?;
         }
     }
+    for (channels, kernel, stride, size) in DEPTHWISE {
+        let conv = DepthwiseConv2d::new(channels, kernel, &weights())?.with_stride(stride);
+        let x = image((size, size), channels)?;
+        let shape = format!("{channels} each, {kernel}x{kernel} / {stride}, {size}x{size}");
+        let multiplications = size.div_ceil(stride).pow(2) * channels * kernel * kernel;
+        let forward = || conv.forward(&x, Activation::GeluTanh);
+        timer.time(
+            EFFICIENTVIT,
+            &shape,
+            Precision::Exact,
+            multiplications,
+            forward,
+        )?;
+    }
+    for (inputs, outputs, size) in TRANSPOSED {
+        let conv = ConvTranspose2d::new(inputs, outputs, 2, &weights())?;
+        let x = image((10 * size, size), inputs)?.reshape((10, size, size, inputs))?;
+        let shape = format!("{inputs} > {outputs}, transposed, {size}x{size}");
+        let multiplications = 10 * 4 * size * size * inputs * outputs;
+        let forward = || conv.forward(&x, Activation::Gelu);
+        timer.time(
+            "mask decoder",
+            &shape,
+            Precision::Exact,
+            multiplications,
+            forward,
+        )?;
+    }
     for precision in PRECISIONS {
         let layers = SKIP.map(|(inputs, outputs, kernel)| -> Result<_> {
             Ok((conv(inputs, outputs, kernel, precision)?, Activation::Selu))
@@ -141,7 +183,7 @@ fn numbers(count: usize) -> Vec<f32> {
     (0..count).map(value).collect()
 }
 
-fn conv(inputs: usize, outputs: usize, kernel: usize, precision: Precision) -> Result<Conv2d> {
+fn weights() -> Weights {
     // Small enough for outputs to stay in range over several layers.
     let make = |_: &str, shape: &[usize]| {
         let inputs: usize = shape.iter().skip(1).product();
@@ -149,8 +191,11 @@ fn conv(inputs: usize, outputs: usize, kernel: usize, precision: Precision) -> R
         let values = numbers(shape.iter().product()).into_iter();
         values.map(|value| value * scale).collect()
     };
-    let weights = Weights::from_fn(make, &Device::Cpu);
-    Ok(Conv2d::new(inputs, outputs, kernel, &weights)?.with_precision(precision))
+    Weights::from_fn(make, &Device::Cpu)
+}
+
+fn conv(inputs: usize, outputs: usize, kernel: usize, precision: Precision) -> Result<Conv2d> {
+    Ok(Conv2d::new(inputs, outputs, kernel, &weights())?.with_precision(precision))
 }
 
 fn image((height, width): (usize, usize), channels: usize) -> Result<Tensor> {

@@ -2,6 +2,8 @@
 
 use candle_core::{Result, Tensor, bail};
 
+use super::cpu::{self, HostTensor, Isa};
+
 /// The greatest number of each channel in the `kernel` x `kernel` window around each pixel of `x` (batch,
 /// height, width, channels), of the same shape. Windows end at the image, as if negative infinity
 /// were around it.
@@ -14,7 +16,10 @@ pub fn max_pool(x: &Tensor, kernel: usize) -> Result<Tensor> {
     if kernel.is_multiple_of(2) {
         bail!("a kernel of odd size is wanted, got {kernel}");
     }
-    plain(x, kernel)
+    match HostTensor::fits(x) {
+        true => cpu::max_pool(Isa::current()?, x, kernel),
+        false => plain(x, kernel),
+    }
 }
 
 /// The pooling by candle's own operations. Repeating the border's pixels is as good as negative
@@ -33,6 +38,7 @@ fn plain(x: &Tensor, kernel: usize) -> Result<Tensor> {
 #[cfg(test)]
 mod tests {
     use candle_core::Device;
+    use proptest::prelude::*;
 
     use super::*;
 
@@ -54,6 +60,22 @@ mod tests {
         let whole = max_pool(&x, 7).unwrap().narrow(3, 1, 1).unwrap();
         let whole = whole.flatten_all().unwrap().to_vec1::<f32>().unwrap();
         assert_eq!(whole, [8.0; 9]);
+    }
+
+    proptest! {
+        #[test]
+        fn as_by_candle(
+            size in (1_usize..3, 1_usize..9, 1_usize..9, 1_usize..20),
+            kernel in prop::sample::select(vec![1, 3, 5]),
+        ) {
+            let x = Tensor::randn(-1.0_f32, 1.0, size, &Device::Cpu).unwrap();
+            let want = plain(&x, kernel).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            for isa in Isa::available() {
+                let got = cpu::max_pool(isa, &x, kernel).unwrap();
+                prop_assert_eq!(got.dims(), x.dims());
+                prop_assert_eq!(&got.flatten_all().unwrap().to_vec1::<f32>().unwrap(), &want);
+            }
+        }
     }
 
     #[test]

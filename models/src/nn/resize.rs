@@ -1,6 +1,9 @@
 //! Images of other sizes.
 
 use candle_core::{Device, Result, Tensor, bail};
+use rayon::prelude::*;
+
+use super::cpu::{self, HostTensor, Isa, Taps};
 
 /// `x` (batch, height, width, channels) with each pixel repeated to a square of `times` x `times`.
 ///
@@ -9,9 +12,33 @@ use candle_core::{Device, Result, Tensor, bail};
 /// If `x` has another shape.
 pub fn upsample_nearest(x: &Tensor, times: usize) -> Result<Tensor> {
     let (batch, height, width, channels) = x.dims4()?;
-    x.reshape((batch, height, 1, width, 1, channels))?
-        .broadcast_as((batch, height, times, width, times, channels))?
-        .reshape((batch, height * times, width * times, channels))
+    let shape = (batch, height * times, width * times, channels);
+    if !HostTensor::fits(x) {
+        return x
+            .reshape((batch, height, 1, width, 1, channels))?
+            .broadcast_as((batch, height, times, width, times, channels))?
+            .reshape(shape);
+    }
+    let x = x.contiguous()?;
+    let host = HostTensor::new(&x)?;
+    let mut values = vec![0.0; x.elem_count() * times * times];
+    if !values.is_empty() {
+        let row = width * channels;
+        (values.par_chunks_mut(times * times * row))
+            .zip(host.data()?.par_chunks(row))
+            .for_each(|(to, from)| {
+                let (first, others) = to.split_at_mut(times * row);
+                let squares = first.chunks_exact_mut(times * channels);
+                for (to, pixel) in squares.zip(from.chunks_exact(channels)) {
+                    to.chunks_exact_mut(channels)
+                        .for_each(|to| to.copy_from_slice(pixel));
+                }
+                others
+                    .chunks_exact_mut(times * row)
+                    .for_each(|to| to.copy_from_slice(first));
+            });
+    }
+    Tensor::from_vec(values, shape, &Device::Cpu)
 }
 
 /// `x` (batch, height, width, channels) at another size, each number between the two nearest of each
@@ -22,7 +49,7 @@ pub fn upsample_nearest(x: &Tensor, times: usize) -> Result<Tensor> {
 ///
 /// If `x` has another shape or a size is 0.
 pub fn resize_bilinear(x: &Tensor, height: usize, width: usize) -> Result<Tensor> {
-    resize(x, [height, width], Interpolation::Bilinear)
+    resize(x, [height, width], linear_taps)
 }
 
 /// As [`resize_bilinear`], by cubic convolution with `a = -0.75` (Keys 1981), between the four nearest
@@ -32,49 +59,38 @@ pub fn resize_bilinear(x: &Tensor, height: usize, width: usize) -> Result<Tensor
 ///
 /// As [`resize_bilinear`].
 pub fn resize_bicubic(x: &Tensor, height: usize, width: usize) -> Result<Tensor> {
-    resize(x, [height, width], Interpolation::Bicubic)
+    resize(x, [height, width], cubic_taps)
 }
 
-/// What lies between pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Interpolation {
-    Bilinear,
-    Bicubic,
+/// The pixel of each number along an axis of `to` numbers, and what it is beyond, of `from` pixels.
+fn centres(from: usize, to: usize) -> impl Iterator<Item = f64> {
+    (0..to).map(move |i| (i as f64 + 0.5) * from as f64 / to as f64 - 0.5)
 }
 
-impl Interpolation {
-    /// The pixels and their shares at `to` pixels along an axis of `from` pixels; unused pixels have
-    /// no share.
-    fn taps(self, from: usize, to: usize) -> Vec<[(usize, f32); 4]> {
-        let last = from as isize - 1;
-        let pixel = |i: isize| i.clamp(0, last) as usize;
-        (0..to)
-            .map(|i| {
-                let centre = (i as f64 + 0.5) * from as f64 / to as f64 - 0.5;
-                match self {
-                    Self::Bilinear => {
-                        let centre = centre.max(0.0);
-                        let (first, share) = (centre.floor() as isize, centre.fract());
-                        [
-                            (pixel(first), (1.0 - share) as f32),
-                            (pixel(first + 1), share as f32),
-                            (0, 0.0),
-                            (0, 0.0),
-                        ]
-                    }
-                    Self::Bicubic => {
-                        let first = centre.floor();
-                        let share = centre - first;
-                        std::array::from_fn(|k| {
-                            let k = k as isize - 1;
-                            let distance = (share - k as f64).abs();
-                            (pixel(first as isize + k), cubic(distance) as f32)
-                        })
-                    }
-                }
+/// The taps of an axis: the two nearest pixels.
+fn linear_taps(from: usize, to: usize) -> Taps<2> {
+    centres(from, to)
+        .map(|centre| {
+            let centre = centre.max(0.0);
+            let (first, share) = (centre as usize, centre.fract());
+            let next = (first + 1).min(from - 1);
+            [(first, (1.0 - share) as f32), (next, share as f32)]
+        })
+        .collect()
+}
+
+/// The taps of an axis: the four nearest pixels.
+fn cubic_taps(from: usize, to: usize) -> Taps<4> {
+    centres(from, to)
+        .map(|centre| {
+            let first = centre.floor();
+            std::array::from_fn(|k| {
+                let pixel = first + k as f64 - 1.0;
+                let inside = pixel.clamp(0.0, from as f64 - 1.0);
+                (inside as usize, cubic((centre - pixel).abs()) as f32)
             })
-            .collect()
-    }
+        })
+        .collect()
 }
 
 /// The cubic convolution kernel with `a = -0.75`, at a distance of up to 2.
@@ -86,7 +102,12 @@ fn cubic(x: f64) -> f64 {
     }
 }
 
-fn resize(x: &Tensor, to: [usize; 2], interpolation: Interpolation) -> Result<Tensor> {
+/// `x` at the size `to`, with `taps` for each axis.
+fn resize<const N: usize>(
+    x: &Tensor,
+    to: [usize; 2],
+    taps: impl Fn(usize, usize) -> Taps<N>,
+) -> Result<Tensor> {
     let (_, height, width, _) = x.dims4()?;
     if [height, width, to[0], to[1]].contains(&0) {
         bail!(
@@ -98,30 +119,34 @@ fn resize(x: &Tensor, to: [usize; 2], interpolation: Interpolation) -> Result<Te
     if [height, width] == to {
         return Ok(x.clone());
     }
-    plain(x, to, interpolation)
+    let (rows, columns) = (taps(height, to[0]), taps(width, to[1]));
+    match HostTensor::fits(x) {
+        true => cpu::resize(Isa::current()?, x, &rows, &columns),
+        false => plain(x, &rows, &columns),
+    }
 }
 
 /// Resizing by candle's own operations, as a product of matrices for each axis.
-fn plain(x: &Tensor, to: [usize; 2], interpolation: Interpolation) -> Result<Tensor> {
+fn plain<const N: usize>(x: &Tensor, rows: &Taps<N>, columns: &Taps<N>) -> Result<Tensor> {
     let (batch, height, width, channels) = x.dims4()?;
-    let rows = matrix(&interpolation.taps(height, to[0]), height, x.device())?;
-    let columns = matrix(&interpolation.taps(width, to[1]), width, x.device())?;
+    let down = matrix(rows, height, x.device())?;
+    let across = matrix(columns, width, x.device())?;
     let x = x.contiguous()?.reshape((batch, height, width * channels))?;
-    rows.broadcast_left(batch)?
+    down.broadcast_left(batch)?
         .contiguous()?
         .matmul(&x)?
-        .reshape((batch, to[0], width, channels))?
+        .reshape((batch, rows.len(), width, channels))?
         .permute((0, 1, 3, 2))?
         .contiguous()?
         .reshape(((), width))?
-        .matmul(&columns.t()?)?
-        .reshape((batch, to[0], channels, to[1]))?
+        .matmul(&across.t()?)?
+        .reshape((batch, rows.len(), channels, columns.len()))?
         .permute((0, 1, 3, 2))?
         .contiguous()
 }
 
 /// (to, from).
-fn matrix(taps: &[[(usize, f32); 4]], from: usize, device: &Device) -> Result<Tensor> {
+fn matrix<const N: usize>(taps: &Taps<N>, from: usize, device: &Device) -> Result<Tensor> {
     let mut values = vec![0.0; taps.len() * from];
     for (row, taps) in values.chunks_exact_mut(from).zip(taps) {
         for &(pixel, share) in taps {
@@ -133,6 +158,8 @@ fn matrix(taps: &[[(usize, f32); 4]], from: usize, device: &Device) -> Result<Te
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     fn row(numbers: &[f32]) -> Tensor {
@@ -145,6 +172,12 @@ mod tests {
         for (got, want) in got.iter().zip(want) {
             assert!((got - want).abs() < 1e-6, "{got} {want}");
         }
+    }
+
+    fn close(got: &Tensor, want: &Tensor) {
+        assert_eq!(got.dims(), want.dims());
+        let difference = (got - want).and_then(|d| d.abs()?.max_all()?.to_scalar::<f32>());
+        assert!(difference.unwrap() < 2e-6);
     }
 
     #[test]
@@ -182,7 +215,7 @@ mod tests {
         // Around 0.5: pixels 0 (twice, clamped), 1 and 2; around 2.5: 1, 2, 3 and 3 again.
         check(&got, &[16.0 - 6.0, 38.0]);
         // A quarter beyond pixel 1, in units of 1/256.
-        let taps = Interpolation::Bicubic.taps(4, 8)[3];
+        let taps = cubic_taps(4, 8)[3];
         let want = [-27.0, 225.0, 67.0, -9.0].map(|share| share / 256.0);
         assert_eq!(taps.map(|(pixel, _)| pixel), [0, 1, 2, 3]);
         for ((_, got), want) in taps.into_iter().zip(want) {
@@ -191,18 +224,34 @@ mod tests {
     }
 
     #[test]
-    fn ramps_stay_ramps_inside() {
+    fn ramps_stay_ramps() {
         let numbers: Vec<f32> = (0..12).map(|i| i as f32).collect();
         for to in [24, 18, 7] {
-            for resize in [resize_bilinear, resize_bicubic] {
-                let y = resize(&row(&numbers), 1, to).unwrap();
-                let y = y.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-                for (i, y) in y.into_iter().enumerate() {
-                    let want = (i as f32 + 0.5) * 12.0 / to as f32 - 0.5;
-                    if (1.0..10.0).contains(&want) {
-                        assert!((y - want).abs() < 1e-5, "{y} {want}");
-                    }
-                }
+            let y = resize_bilinear(&row(&numbers), 1, to).unwrap();
+            let y = y.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            for (i, y) in y.into_iter().enumerate() {
+                let want = (i as f32 + 0.5) * 12.0 / to as f32 - 0.5;
+                assert!((y - want.clamp(0.0, 11.0)).abs() < 1e-5, "{y} {want}");
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn as_by_candle(
+            size in (1_usize..3, 1_usize..9, 1_usize..9, 1_usize..20),
+            to in (1_usize..12, 1_usize..12),
+        ) {
+            let x = Tensor::randn(0.0_f32, 1.0, size, &Device::Cpu).unwrap();
+            let (rows, columns) = (linear_taps(size.1, to.0), linear_taps(size.2, to.1));
+            let linear = plain(&x, &rows, &columns).unwrap();
+            for isa in Isa::available() {
+                close(&cpu::resize(isa, &x, &rows, &columns).unwrap(), &linear);
+            }
+            let (rows, columns) = (cubic_taps(size.1, to.0), cubic_taps(size.2, to.1));
+            let cubic = plain(&x, &rows, &columns).unwrap();
+            for isa in Isa::available() {
+                close(&cpu::resize(isa, &x, &rows, &columns).unwrap(), &cubic);
             }
         }
     }

@@ -11,9 +11,9 @@ use std::sync::{Arc, OnceLock};
 
 use candle_core::{Device, Error, Result, Tensor, bail};
 
-use super::Activation;
-use super::cpu::conv::{Convolution, Epilogue, Filter, Images, Stage, in_turn};
+use super::cpu::conv::{Convolution, Epilogue, Filter, Images, Part, Pixels, Stage, in_turn};
 use super::cpu::{HostTensor, Isa};
+use super::{Activation, upsample_nearest};
 use crate::Weights;
 use parameters::Parameters;
 
@@ -163,7 +163,7 @@ impl Conv2d {
     ///
     /// If `x` has another shape.
     pub fn forward(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
-        self.run(x, activation, None)
+        self.run(&[x], activation, None)
     }
 
     /// `residual + conv(x)`; `residual` has the shape of the result.
@@ -172,7 +172,7 @@ impl Conv2d {
     ///
     /// If `x` or `residual` has another shape.
     pub fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
-        self.run(x, Activation::Identity, Some(residual))
+        self.run(&[x], Activation::Identity, Some(residual))
     }
 
     /// `residual + activation(conv(x))`; `residual` has the shape of the result.
@@ -186,11 +186,29 @@ impl Conv2d {
         activation: Activation,
         residual: &Tensor,
     ) -> Result<Tensor> {
-        self.run(x, activation, Some(residual))
+        self.run(&[x], activation, Some(residual))
     }
 
-    fn run(&self, x: &Tensor, activation: Activation, residual: Option<&Tensor>) -> Result<Tensor> {
-        let images = self.images(x)?;
+    /// `activation(conv(x))` where the channels of `x` are those of `parts`, one after the other. A part
+    /// of a fraction of the height and width, like a half, stands for itself enlarged by
+    /// [`upsample_nearest`].
+    ///
+    /// On a CPU, kernels of 1 read the parts where they lie: nothing is concatenated or enlarged.
+    ///
+    /// # Errors
+    ///
+    /// If there are no parts, or they do not fit each other or the channels.
+    pub fn forward_of(&self, parts: &[&Tensor], activation: Activation) -> Result<Tensor> {
+        self.run(parts, activation, None)
+    }
+
+    fn run(
+        &self,
+        parts: &[&Tensor],
+        activation: Activation,
+        residual: Option<&Tensor>,
+    ) -> Result<Tensor> {
+        let images = self.images(parts)?;
         let strided = images.strided(self.stride);
         let shape = strided.shape(self.outputs());
         if let Some(residual) = residual
@@ -198,19 +216,35 @@ impl Conv2d {
         {
             bail!("{:?} cannot be added to {shape:?}", residual.shape());
         }
-        if !HostTensor::fits(x) {
-            let y = activation.apply(&self.plain(x)?)?;
+        if !parts.iter().copied().chain(residual).all(HostTensor::fits) {
+            let y = activation.apply(&self.plain(&joined(parts, images)?)?)?;
             return residual.map_or(Ok(y.clone()), |residual| residual + &y);
         }
-        let mut out = vec![0.0; strided.pixels() * self.outputs()];
-        with_values(x, |x| match residual {
-            None => self.stage(activation, None)?.run(images, x, &mut out),
-            Some(residual) => with_values(residual, |residual| {
-                let stage = self.stage(activation, Some(residual))?;
-                stage.run(images, x, &mut out)
-            }),
-        })?;
-        Tensor::from_vec(out, shape, &Device::Cpu)
+        let prepared = self.prepared()?;
+        let joined = match prepared.convolution.takes_parts() {
+            true => None,
+            false => Some(joined(parts, images)?),
+        };
+        let parts = match &joined {
+            Some(joined) => &[joined][..],
+            None => parts,
+        };
+        let parts = (parts.iter().map(|part| regular(part))).collect::<Result<Vec<_>>>()?;
+        let hosts = (parts.iter().map(HostTensor::new)).collect::<Result<Vec<_>>>()?;
+        let parts = (hosts.iter())
+            .map(|host| {
+                let times = images.height / host.dims()[1].max(1);
+                Ok(Part {
+                    pixels: Pixels::of(host)?,
+                    times: times.max(1),
+                })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let residual = residual.map(regular).transpose()?;
+        let residual = residual.as_ref().map(HostTensor::new).transpose()?;
+        let residual = residual.as_ref().map(Pixels::of).transpose()?;
+        let stage = self.stage(prepared, activation, residual);
+        Tensor::from_vec(stage.run(images, &parts)?, shape, &Device::Cpu)
     }
 
     fn inputs(&self) -> usize {
@@ -225,25 +259,36 @@ impl Conv2d {
         self.parameters.shape()[2]
     }
 
-    /// The sizes of `x`, whose channels must be the inputs.
-    fn images(&self, x: &Tensor) -> Result<Images> {
-        let (batch, height, width, channels) = x.dims4()?;
-        if channels != self.inputs() {
-            bail!("{} channels are wanted, got {:?}", self.inputs(), x.shape());
+    /// The sizes of images that consist of `parts`, whose channels must be the inputs.
+    fn images(&self, parts: &[&Tensor]) -> Result<Images> {
+        let mut images: Option<Images> = None;
+        let mut inputs = 0;
+        for part in parts {
+            let (batch, height, width, channels) = part.dims4()?;
+            inputs += channels;
+            images = Some(Images {
+                batch,
+                height: height.max(images.map_or(0, |images| images.height)),
+                width: width.max(images.map_or(0, |images| images.width)),
+            });
         }
-        Ok(Images {
-            batch,
-            height,
-            width,
-        })
+        let shapes = || parts.iter().map(|part| part.shape()).collect::<Vec<_>>();
+        let Some(images) = images.filter(|_| inputs == self.inputs()) else {
+            bail!("{} channels are wanted, got {:?}", self.inputs(), shapes());
+        };
+        for part in parts {
+            let (batch, height, width, _) = part.dims4()?;
+            let times = images.height / height.max(1);
+            let enlarged = (batch, times * height, times * width);
+            if enlarged != (images.batch, images.height, images.width) {
+                bail!("{:?} are no parts of the same images", shapes());
+            }
+        }
+        Ok(images)
     }
 
-    /// What is to be done on a CPU; weights are laid out the first time.
-    fn stage<'a>(
-        &'a self,
-        activation: Activation,
-        residual: Option<&'a [f32]>,
-    ) -> Result<Stage<'a>> {
+    /// What is laid out for a CPU, the first time.
+    fn prepared(&self) -> Result<&Prepared> {
         let prepare = || {
             let Some(folded) = self.parameters.host() else {
                 bail!("the weights of this convolution are not on the CPU");
@@ -262,8 +307,17 @@ impl Conv2d {
             })
         };
         let prepared = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
-        let prepared = prepared.as_ref().map_err(|e| Error::Msg(e.clone()))?;
-        Ok(Stage {
+        prepared.as_ref().map_err(|e| Error::Msg(e.clone()))
+    }
+
+    /// What is to be done on a CPU.
+    fn stage<'a>(
+        &self,
+        prepared: &'a Prepared,
+        activation: Activation,
+        residual: Option<Pixels<'a>>,
+    ) -> Stage<'a> {
+        Stage {
             convolution: &prepared.convolution,
             inputs: self.inputs(),
             stride: self.stride,
@@ -272,7 +326,7 @@ impl Conv2d {
                 activation,
                 residual,
             },
-        })
+        }
     }
 
     /// The convolution by candle's own operations.
@@ -308,19 +362,40 @@ pub fn convolve_in_turn(layers: &[(Conv2d, Activation)], x: &Tensor) -> Result<T
             bail!("a convolution of {inputs} channels cannot follow one to {outputs}");
         }
     }
-    let images = first.images(x)?;
+    let images = first.images(&[x])?;
     if !HostTensor::fits(x) {
         return (layers.iter()).try_fold(x.clone(), |x, (conv, activation)| {
             conv.forward(&x, *activation)
         });
     }
     let stages = (layers.iter())
-        .map(|(conv, activation)| conv.stage(*activation, None))
+        .map(|(conv, activation)| Ok(conv.stage(conv.prepared()?, *activation, None)))
         .collect::<Result<Vec<_>>>()?;
     let strided = (layers.iter()).fold(images, |images, (conv, _)| images.strided(conv.stride));
-    let mut out = vec![0.0; strided.pixels() * last.outputs()];
-    with_values(x, |x| in_turn(&stages, images, x, &mut out))?;
+    let out = with_values(x, |x| in_turn(&stages, images, x))?;
     Tensor::from_vec(out, strided.shape(last.outputs()), &Device::Cpu)
+}
+
+/// `parts` enlarged to the size of `images`, one after the other.
+fn joined(parts: &[&Tensor], images: Images) -> Result<Tensor> {
+    if let [part] = parts {
+        return Ok((*part).clone());
+    }
+    let enlarged = (parts.iter())
+        .map(|part| match images.height / part.dim(1)?.max(1) {
+            0 | 1 => Ok((*part).clone()),
+            times => upsample_nearest(part, times),
+        })
+        .collect::<Result<Vec<_>>>()?;
+    Tensor::cat(&enlarged, 3)
+}
+
+/// `x` with its pixels at equal distances.
+fn regular(x: &Tensor) -> Result<Tensor> {
+    match Pixels::lie(x) {
+        true => Ok(x.clone()),
+        false => x.contiguous(),
+    }
 }
 
 /// Calls `with` on the numbers of `x`, row-major.

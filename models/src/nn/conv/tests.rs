@@ -71,11 +71,51 @@ fn strides_without_bias_like_candle() {
 }
 
 #[test]
-fn strided_images_are_read() {
-    let conv = conv(4, 5, 3);
-    let x = image((2, 7, 6, 8)).narrow(3, 2, 4).unwrap();
-    let got = conv.forward(&x, Activation::Identity).unwrap();
-    assert!(error(&got, &conv.plain(&x).unwrap()) < 2e-6);
+fn images_are_read_where_they_lie() {
+    // Gathered by rows and by pixels, shifted, Winograd's.
+    for (inputs, outputs, kernel) in [(4, 5, 3), (30, 5, 1), (40, 3, 3), (40, 33, 3)] {
+        let conv = conv(inputs, outputs, kernel);
+        let wide = image((2, 7, 6, inputs + 5));
+        let residual = image((2, 7, 6, outputs + 3)).narrow(3, 3, outputs).unwrap();
+        // The channels of pixels, or parts of rows.
+        for x in [
+            wide.narrow(3, 2, inputs),
+            image((2, 7, 9, inputs)).narrow(2, 1, 6),
+        ] {
+            let x = x.unwrap();
+            let got = conv.forward_then_add(&x, Activation::Relu, &residual);
+            let want = &residual + Activation::Relu.apply(&conv.plain(&x).unwrap()).unwrap();
+            assert!(error(&got.unwrap(), &want.unwrap()) < 3e-6, "{conv:?}");
+        }
+    }
+}
+
+#[test]
+fn parts_are_one_after_the_other() {
+    let parts = [
+        image((2, 6, 8, 20)).narrow(3, 4, 7).unwrap(),
+        image((2, 3, 4, 300)),
+        image((2, 6, 8, 33)),
+    ];
+    let enlarged = upsample_nearest(&parts[1], 2).unwrap();
+    let x = Tensor::cat(&[&parts[0], &enlarged, &parts[2]], 3).unwrap();
+    for (outputs, kernel, stride) in [(40, 1, 1), (7, 1, 2), (40, 3, 1), (5, 3, 2)] {
+        let conv = conv(340, outputs, kernel).with_stride(stride);
+        let got = conv.forward_of(&parts.iter().collect::<Vec<_>>(), Activation::Relu);
+        let want = Activation::Relu.apply(&conv.plain(&x).unwrap());
+        assert!(error(&got.unwrap(), &want.unwrap()) < 3e-6, "{conv:?}");
+    }
+    let conv = conv(340, 5, 1);
+    let forward = |parts: &[&Tensor]| conv.forward_of(parts, Activation::Identity);
+    assert!(forward(&[]).is_err());
+    assert!(forward(&[&x, &parts[0]]).is_err());
+    let [a, b, c] = [
+        image((2, 6, 8, 40)),
+        image((2, 4, 4, 300)),
+        image((1, 6, 8, 300)),
+    ];
+    assert!(forward(&[&a, &b]).is_err());
+    assert!(forward(&[&a, &c]).is_err());
 }
 
 #[test]

@@ -1,18 +1,35 @@
 //! Convolutions that enlarge.
 
-use candle_core::{Result, Tensor, bail};
+use std::sync::{Arc, OnceLock};
 
+use candle_core::{Device, Error, Result, Tensor, bail};
+
+use super::regular;
 use crate::nn::Activation;
+use crate::nn::cpu::conv::{Images, Pixels, Transpose};
+use crate::nn::cpu::{HostTensor, Isa};
 use crate::{Parameter, Weights};
 
 /// A transposed 2D convolution whose stride is its kernel: each pixel becomes a square of `kernel` x
 /// `kernel` pixels, and no two squares overlap. Images are (batch, height, width, channels).
-#[derive(Clone, Debug)]
+///
+/// On a CPU, weights are laid out when [`Self::forward`] is first called, and shared by clones.
+#[derive(Clone)]
 pub struct ConvTranspose2d {
     /// (inputs, outputs, kernel, kernel).
     weight: Parameter,
     /// (outputs).
     bias: Parameter,
+    prepared: Arc<OnceLock<std::result::Result<Transpose, String>>>,
+}
+
+impl std::fmt::Debug for ConvTranspose2d {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ConvTranspose2d")
+            .field("weight", &self.weight)
+            .field("bias", &self.bias)
+            .finish_non_exhaustive()
+    }
 }
 
 impl ConvTranspose2d {
@@ -28,6 +45,7 @@ impl ConvTranspose2d {
         Ok(Self {
             weight: weights.get([inputs, outputs, kernel, kernel], "weight")?,
             bias: weights.get([outputs], "bias")?,
+            prepared: Arc::default(),
         })
     }
 
@@ -38,7 +56,7 @@ impl ConvTranspose2d {
     ///
     /// If `x` has another shape.
     pub fn forward(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
-        let (_, _, _, channels) = x.dims4()?;
+        let (batch, height, width, channels) = x.dims4()?;
         if channels != self.weight.shape()[0] {
             bail!(
                 "{} channels are wanted, got {:?}",
@@ -46,7 +64,35 @@ impl ConvTranspose2d {
                 x.shape()
             );
         }
-        activation.apply(&self.plain(x)?)
+        if !HostTensor::fits(x) {
+            return activation.apply(&self.plain(x)?);
+        }
+        let layer = self.prepared()?;
+        let images = Images {
+            batch,
+            height,
+            width,
+        };
+        let (outputs, kernel) = (self.weight.shape()[1], self.weight.shape()[2]);
+        let shape = (batch, kernel * height, kernel * width, outputs);
+        let x = regular(x)?;
+        let host = HostTensor::new(&x)?;
+        let pixels = Pixels::of(&host)?;
+        let out = layer.run(images, pixels, activation)?;
+        Tensor::from_vec(out, shape, &Device::Cpu)
+    }
+
+    /// What is laid out for a CPU, the first time.
+    fn prepared(&self) -> Result<&Transpose> {
+        let prepare = || {
+            let (Some(weight), Some(bias)) = (self.weight.host(), self.bias.host()) else {
+                bail!("the weights of this convolution are not on the CPU");
+            };
+            let (inputs, kernel) = (self.weight.shape()[0], self.weight.shape()[2]);
+            Transpose::new(Isa::current()?, weight, bias, inputs, kernel)
+        };
+        let prepared = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
+        prepared.as_ref().map_err(|e| Error::Msg(e.clone()))
     }
 
     /// The convolution by candle's own operations.
@@ -103,6 +149,7 @@ mod tests {
             let conv = ConvTranspose2d::new(inputs, outputs, kernel, &weights).unwrap();
             let x = Tensor::randn(0.0_f32, 1.0, (2, 4, 3, inputs), &Device::Cpu).unwrap();
             let got = conv.forward(&x, Activation::Identity).unwrap();
+            let plain = conv.plain(&x).unwrap();
             let weight = conv.weight.tensor().unwrap();
             let want = x
                 .permute((0, 3, 1, 2))
@@ -111,8 +158,10 @@ mod tests {
                 .and_then(|y| y.broadcast_add(&conv.bias.tensor()?))
                 .unwrap();
             assert_eq!(got.dims(), want.dims());
-            let difference = (got - want).and_then(|d| d.abs()?.max_all()?.to_scalar::<f32>());
-            assert!(difference.unwrap() < 1e-5);
+            for y in [got, plain] {
+                let difference = (y - &want).and_then(|d| d.abs()?.max_all()?.to_scalar::<f32>());
+                assert!(difference.unwrap() < 1e-5);
+            }
         }
     }
 

@@ -6,21 +6,27 @@
 //! - [`gathered`]: the definition as one product of matrices, without an image of all windows;
 //! - [`shifted`]: the same for few outputs and stride 1, the product first and the sum over the window after.
 
+mod depthwise;
 mod epilogue;
 mod gathered;
+mod pixels;
 mod shifted;
 mod stage;
 #[cfg(test)]
 mod tests;
+mod transpose;
 mod winograd;
 
+pub(in crate::nn) use depthwise::Depthwise;
 pub(in crate::nn) use epilogue::Epilogue;
 use gathered::Gathered;
+pub(in crate::nn) use pixels::{Part, Pixels};
 use shifted::Shifted;
 pub(in crate::nn) use stage::{Stage, in_turn};
+pub(in crate::nn) use transpose::Transpose;
 use winograd::{Scheme, Winograd};
 
-use candle_core::Result;
+use candle_core::{Result, bail};
 
 use super::isa::Isa;
 
@@ -105,26 +111,42 @@ impl Convolution {
         }
     }
 
-    /// The convolution of `x`, which has `images.pixels()` times the inputs, finished by `epilogue`,
-    /// into `out`, which has the outputs for each pixel of the strided images.
+    /// Whether channels may lie in several parts.
+    pub(in crate::nn) fn takes_parts(&self) -> bool {
+        matches!(self, Self::Gathered(_))
+    }
+
+    /// The convolution of images, whose channels are those of `parts` one after the other, finished by
+    /// `epilogue`, into `out`.
     ///
     /// # Errors
     ///
-    /// If these are not as many.
-    fn run(
+    /// If there are several parts, or one that is enlarged, and this does not take them.
+    ///
+    /// # Safety
+    ///
+    /// The parts have as many pixels as `images` says, and together the channels of the filter; the
+    /// epilogue those of the strided images and the outputs' channels. `out` can be written likewise,
+    /// by nobody else, and is written unless there is an error.
+    unsafe fn run(
         &self,
         images: Images,
-        x: &[f32],
+        parts: &[Part<'_>],
         epilogue: Epilogue<'_>,
-        out: &mut [f32],
+        out: *mut f32,
     ) -> Result<()> {
-        if out.is_empty() {
-            return Ok(());
-        }
-        match self {
-            Self::Winograd(way) => way.run(images, x, epilogue, out),
-            Self::Gathered(way) => way.run(images, x, epilogue, out),
-            Self::Shifted(way) => way.run(images, x, epilogue, out),
+        // SAFETY: as the caller promises.
+        unsafe {
+            match (self, parts) {
+                (Self::Gathered(way), parts) => way.run(images, parts, epilogue, out),
+                (Self::Winograd(way), [Part { pixels, times: 1 }]) => {
+                    way.run(images, *pixels, epilogue, out)
+                }
+                (Self::Shifted(way), [Part { pixels, times: 1 }]) => {
+                    way.run(images, *pixels, epilogue, out)
+                }
+                _ => bail!("this convolution does not take {} parts", parts.len()),
+            }
         }
     }
 }

@@ -14,6 +14,7 @@ mod block;
 mod matrix;
 mod pack;
 mod parallel;
+mod scattered;
 #[cfg(test)]
 mod tests;
 
@@ -29,6 +30,7 @@ pub use pack::PackedFactor;
 pub(in crate::nn::cpu) use pack::pack_lines;
 pub use parallel::gemm;
 pub(in crate::nn::cpu) use parallel::gemm_into;
+pub(in crate::nn::cpu) use scattered::{Pieces, Scattered, Table};
 
 /// Depth of a block.
 const DEPTH: usize = 512;

@@ -2,7 +2,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{MAX_LANES, Simd, tile};
+use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
 /// Proof that the CPU has AVX2 and FMA.
 #[derive(Clone, Copy)]
@@ -112,6 +112,12 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
+    fn prefetch(self, from: *const f32) {
+        // SAFETY: a hint, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) }
+    }
+
+    #[inline(always)]
     unsafe fn load(self, from: *const f32) -> V {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm256_loadu_ps(from) }
@@ -175,6 +181,24 @@ impl Simd for Avx2 {
             match columns <= Self::LANES {
                 true => tile::<Self, 6, 1>(self, depth, a, b, out),
                 false => tile::<Self, 6, 2>(self, depth, a, b, out),
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn tile_of_pieces(
+        self,
+        pieces: &[Piece],
+        columns: usize,
+        a: *const *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile_of_pieces::<Self, 6, 1>(self, pieces, a, b, out),
+                false => tile_of_pieces::<Self, 6, 2>(self, pieces, a, b, out),
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{MAX_LANES, Simd, tile};
+use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
 /// Proof that the CPU has AVX-512 F and DQ.
 #[derive(Clone, Copy)]
@@ -87,6 +87,12 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
+    fn prefetch(self, from: *const f32) {
+        // SAFETY: a hint, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) }
+    }
+
+    #[inline(always)]
     unsafe fn load(self, from: *const f32) -> V {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm512_loadu_ps(from) }
@@ -164,6 +170,24 @@ impl Simd for Avx512 {
             match columns <= Self::LANES {
                 true => tile::<Self, 14, 1>(self, depth, a, b, out),
                 false => tile::<Self, 14, 2>(self, depth, a, b, out),
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn tile_of_pieces(
+        self,
+        pieces: &[Piece],
+        columns: usize,
+        a: *const *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile_of_pieces::<Self, 14, 1>(self, pieces, a, b, out),
+                false => tile_of_pieces::<Self, 14, 2>(self, pieces, a, b, out),
             }
         }
     }
