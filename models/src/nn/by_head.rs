@@ -175,7 +175,6 @@ fn by_head<'a>(
 
 #[cfg(test)]
 mod tests {
-    use candle_core::Device;
     use proptest::prelude::*;
 
     use super::*;

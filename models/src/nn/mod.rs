@@ -2,8 +2,8 @@
 //!
 //! A network calls these, and candle itself only to move numbers about (reshape, narrow, add,
 //! concatenate). What costs time is behind this module: [`Linear`], [`LayerNorm`], [`attention()`],
-//! [`window_attention()`], [`Rotation::apply`], [`Conv2d`]. On CPUs these run on the kernels in [`cpu`],
-//! for f32; elsewhere, and as the oracle of tests, on candle's operations.
+//! [`window_attention()`], [`Rotation::apply`], [`Conv2d`], [`exchange()`], [`Upscaling`]. On CPUs these run
+//! on the kernels in [`cpu`], for f32; elsewhere, and as the oracle of tests, on candle's operations.
 //!
 //! Tokens are `(batch, tokens, channels)`; heads share the channels, head after head, so that
 //! nothing is transposed. Images are `(batch, height, width, channels)`.

@@ -148,7 +148,7 @@ impl PromptEncoderConfig {
             ("input_image_size[0]", rows),
             ("input_image_size[1]", columns),
         ])?;
-        check_divides("2", 2, "embed_dim", self.embed_dim)
+        check_multiple("embed_dim", self.embed_dim, 2, "sines and cosines")
     }
 }
 
@@ -166,10 +166,9 @@ impl MaskDecoderConfig {
             ("iou_head_depth", self.iou_head_depth),
             ("iou_head_hidden_dim", self.iou_head_hidden_dim),
         ])?;
-        check_divides("8", 8, "transformer_dim", channels)?;
-        let divisor = rate * self.num_heads;
-        let name = "attention_downsample_rate * num_heads";
-        check_divides(name, divisor, "transformer_dim", channels)
+        check_multiple("transformer_dim", channels, 8, "for enlarging the image")?;
+        let reason = "attention_downsample_rate * num_heads";
+        check_multiple("transformer_dim", channels, rate * self.num_heads, reason)
     }
 
     /// Channels inside of attention between tokens and image.
@@ -198,9 +197,9 @@ fn check_sizes(sizes: &[(&str, usize)]) -> Result<()> {
     Ok(())
 }
 
-fn check_divides(divisor_name: &str, divisor: usize, name: &str, size: usize) -> Result<()> {
+fn check_multiple(name: &str, size: usize, divisor: usize, reason: &str) -> Result<()> {
     if !size.is_multiple_of(divisor) {
-        bail!("{name} = {size} must be a multiple of {divisor_name} = {divisor}");
+        bail!("{name} = {size} must be a multiple of {divisor} ({reason})");
     }
     Ok(())
 }

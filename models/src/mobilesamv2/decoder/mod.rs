@@ -18,5 +18,5 @@ pub use mask::MaskDecoder;
 pub use memory::Memory;
 pub use network::{Decoder, Masks, Options, Output};
 pub use prompt::PromptEncoder;
-pub use two_way::{Attention, ImageSide, TwoWayTransformer};
+pub use two_way::{ImageSide, TwoWayTransformer};
 pub use work::Work;

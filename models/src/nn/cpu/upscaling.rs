@@ -225,11 +225,11 @@ impl Band<'_> {
             let at = |channel: usize| channel * S::NR + j;
             let share = simd.splat(1.0 / channels as f32);
             let mut sum = simd.splat(0.0);
-            for channel in 0..channels {
+            for (channel, &bias) in bias.iter().enumerate() {
                 // SAFETY: inside of the pixel, as asserted.
                 unsafe {
                     let to = pixel.as_mut_ptr().add(at(channel));
-                    let x = simd.add(simd.load(to), simd.splat(bias[channel]));
+                    let x = simd.add(simd.load(to), simd.splat(bias));
                     simd.store(to, x);
                     sum = simd.add(sum, x);
                 }
@@ -244,12 +244,11 @@ impl Band<'_> {
             }
             let eps = simd.splat(self.weights.eps as f32);
             let scale = inverse_root(simd, simd.fma(squares, share, eps));
-            for channel in 0..channels {
+            for (channel, (&weight, &offset)) in weight.iter().zip(offset).enumerate() {
                 // SAFETY: as above.
                 unsafe {
                     let to = pixel.as_mut_ptr().add(at(channel));
                     let x = simd.mul(simd.sub(simd.load(to), mean), scale);
-                    let (weight, offset) = (weight[channel], offset[channel]);
                     let x = simd.fma(x, simd.splat(weight), simd.splat(offset));
                     simd.store(to, gelu(simd, x));
                 }
