@@ -259,6 +259,7 @@ fn synthetic_weights_have_the_gains_of_their_network() {
     let name = "model.0.bn.weight";
     let times: Vec<f32> = plain(name, &[8]).iter().map(|value| value * 1.5).collect();
     assert_eq!(values(name, &[8]), times);
+    assert_eq!(values("model.22.cv3.1.2.bias", &[2]), [-9.0, -9.0]);
     let decoder = Network::named("mobilesamv2-decoder").unwrap();
     let name = "prompt_encoder.pe_layer.positional_encoding_gaussian_matrix";
     let times: Vec<f32> = plain(name, &[2, 8])

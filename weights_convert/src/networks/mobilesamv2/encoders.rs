@@ -3,7 +3,7 @@
 use tid3r_models::mobilesamv2::{efficient_vit, tiny_vit, vit};
 
 use super::{Found, Network, Part, README, Source, UPSTREAM, as_it_is, is_counter};
-use crate::networks::{Config, Hints};
+use crate::networks::Config;
 
 pub(in crate::networks) const EFFICIENT_VIT: Network = Network {
     name: "mobilesamv2-efficientvit-l2",
