@@ -44,7 +44,7 @@ pub struct Network {
     tiny: fn() -> Config,
     /// What is done to synthetic weights so that the network does something.
     #[serde(skip)]
-    adjustments: &'static [Adjustment],
+    pub(crate) adjustments: &'static [Adjustment],
 }
 
 impl PartialEq for Network {
