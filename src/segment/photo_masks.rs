@@ -85,7 +85,7 @@ impl PhotoMasks {
     pub fn new(
         photo: &Photo,
         picture: RgbImage,
-        objects: Vec<Object>,
+        objects: &[Object],
         params: &MaskParams,
     ) -> Self {
         let (width, height) = picture.dimensions();
@@ -197,7 +197,7 @@ mod tests {
             min_mask_area: 0.02,
             ..MaskParams::default()
         };
-        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), objects, &params);
+        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), &objects, &params);
         let report = masks.write(folder.path(), &Value::Null, true).unwrap();
         assert_eq!((report.masks, report.labels, report.covered), (3, 3, 1.0));
         let text = std::fs::read(report.folder.join("masks.json")).unwrap();
@@ -237,7 +237,7 @@ mod tests {
         let objects = vec![object(0..60), object(0..30), object(30..60)];
         let photo = Photo::new("a", "a.jpg");
         let params = MaskParams::default();
-        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), objects, &params);
+        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), &objects, &params);
         let report = masks.write(folder.path(), &Value::Null, false).unwrap();
         assert_eq!((report.masks, report.labels, report.covered), (3, 2, 0.6));
         let labels: Vec<_> = (0..3).map(|k| masks.annotation(k).label).collect();
