@@ -20,7 +20,7 @@ fn main() -> Result<()> {
         let given = given.transpose().map_err(candle_core::Error::wrap);
         given.map(|n| n.unwrap_or(otherwise))
     };
-    let (boxes, at_once, threads) = (argument(1, 100)?, argument(2, 8)?, argument(3, 0)?);
+    let (boxes, at_once, threads) = (argument(1, 100)?, argument(2, 4)?, argument(3, 0)?);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     let pool = pool.map_err(candle_core::Error::wrap)?;
     pool.install(|| bench(boxes, at_once))

@@ -47,7 +47,17 @@ impl ConvBlock {
         self.conv.forward(x, Activation::Silu)
     }
 
-    /// The same, added to `residual`.
+    /// The same of `parts` side by side, for 1x1 kernels of stride 1. Parts may be a fraction of the size of
+    /// the largest, and are enlarged to it: each pixel is repeated.
+    ///
+    /// # Errors
+    ///
+    /// If the parts do not have the channels together, or do not fit each other.
+    fn forward_of(&self, parts: &[&Tensor]) -> Result<Tensor> {
+        self.conv.forward_of(parts, Activation::Silu)
+    }
+
+    /// The same as [`Self::forward`], added to `residual`.
     fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
         self.conv.forward_then_add(x, Activation::Silu, residual)
     }
@@ -120,14 +130,24 @@ impl C2f {
     ///
     /// If `x` has other channels.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let both = self.cv1.forward(x)?;
+        self.forward_of(&[x])
+    }
+
+    /// The same of `parts` side by side, of which some may be a fraction of the largest's size, whose
+    /// pixels are repeated then.
+    ///
+    /// # Errors
+    ///
+    /// If the parts do not have the channels together, or do not fit each other.
+    pub(super) fn forward_of(&self, parts: &[&Tensor]) -> Result<Tensor> {
+        let both = self.cv1.forward_of(parts)?;
         let mut last = both.narrow(3, self.hidden, self.hidden)?;
-        let mut parts = vec![both];
+        let mut results = vec![both];
         for bottleneck in &self.m {
             last = bottleneck.forward(&last)?;
-            parts.push(last.clone());
+            results.push(last.clone());
         }
-        self.cv2.forward(&Tensor::cat(&parts, 3)?)
+        self.cv2.forward_of(&results.iter().collect::<Vec<_>>())
     }
 }
 
@@ -165,7 +185,6 @@ impl Sppf {
         let pooled = max_pool(&x, self.kernel)?;
         let twice = max_pool(&pooled, self.kernel)?;
         let thrice = max_pool(&twice, self.kernel)?;
-        self.cv2
-            .forward(&Tensor::cat(&[x, pooled, twice, thrice], 3)?)
+        self.cv2.forward_of(&[&x, &pooled, &twice, &thrice])
     }
 }

@@ -5,7 +5,6 @@ use candle_core::{Result, Tensor};
 use super::watch::Watch;
 use super::{C2f, Config, ConvBlock};
 use crate::Weights;
-use crate::nn::upsample_nearest;
 
 /// `model.10` to `model.21`: what coarse maps know goes to finer ones, then what fine maps know to
 /// coarser ones (Liu et al. 2018, PANet).
@@ -43,20 +42,17 @@ impl Neck {
         [fine, middle, coarse]: [Tensor; 3],
         watch: &mut Watch<'_>,
     ) -> Result<[Tensor; 3]> {
-        let onto = |mix: &C2f, coarse: &Tensor, fine: &Tensor| {
-            mix.forward(&Tensor::cat(&[&upsample_nearest(coarse, 2)?, fine], 3)?)
-        };
-        let halfway = onto(&self.down[0], &coarse, &middle)?;
+        let halfway = self.down[0].forward_of(&[&coarse, &middle])?;
         watch.done(12, &halfway)?;
         drop(middle);
-        let finest = onto(&self.down[1], &halfway, &fine)?;
+        let finest = self.down[1].forward_of(&[&halfway, &fine])?;
         watch.done(15, &finest)?;
         drop(fine);
         let mut join = |(i, fine, coarse): (usize, &Tensor, Tensor)| {
             let (halve, mix) = &self.up[i];
             let half = halve.forward(fine)?;
             watch.done(16 + 3 * i, &half)?;
-            let mixed = mix.forward(&Tensor::cat(&[half, coarse], 3)?)?;
+            let mixed = mix.forward_of(&[&half, &coarse])?;
             watch.done(18 + 3 * i, &mixed)?;
             Ok::<_, candle_core::Error>(mixed)
         };

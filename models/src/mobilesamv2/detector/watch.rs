@@ -19,4 +19,10 @@ impl Watch<'_> {
         self.observer.advance(self.work.layers[layer].computed());
         Ok(())
     }
+
+    /// The head is done.
+    pub(super) fn head_done(&mut self) {
+        self.observer
+            .advance(self.work.layers[Work::HEAD].computed());
+    }
 }

@@ -50,8 +50,7 @@ impl Work {
             let outputs_of_channel = (height / stride) * (width / stride);
             let work = (outputs_of_channel * outputs * inputs * kernel * kernel) as f64;
             layers[layer].total += work;
-            let halves = [0, 1, 3, 5, 7, 16, 19].contains(&layer);
-            if kernel == 3 && !halves && inputs.min(outputs) >= 32 {
+            if Self::is_fast(&name, &shape) {
                 layers[layer].saved += 0.75 * work;
             }
         }
@@ -67,6 +66,17 @@ impl Work {
             5 | 6 | 10..=12 | 16..=18 => 16,
             _ => 32,
         }
+    }
+
+    /// Whether fast convolutions save multiplications with the tensor of this name and shape.
+    pub(super) fn is_fast(name: &str, shape: &[usize]) -> bool {
+        // Layers that halve the size of a map.
+        const HALVING: [&str; 7] = ["0", "1", "3", "5", "7", "16", "19"];
+        let layer = name.split('.').nth(1).unwrap_or_default();
+        let &[outputs, inputs, 3, _] = shape else {
+            return false;
+        };
+        inputs.min(outputs) >= 32 && !HALVING.contains(&layer)
     }
 
     /// All of it.
@@ -135,7 +145,7 @@ mod tests {
         assert_eq!(stem.total, (384 * 512 * 27 * 80) as f64);
         assert_eq!(stem.saved, 0.0);
         // 1x1 of 160 to 160 and of 400 to 160, and six 3x3 of 80 to 80.
-        let pixels = 192 * 256;
+        let pixels = 192 * 256_usize;
         assert_eq!(
             c2f.computed(),
             (pixels * (160 * 160 + 400 * 160 + 6 * 80 * 80 * 9 / 4)) as f64

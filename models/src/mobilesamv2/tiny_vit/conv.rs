@@ -72,9 +72,13 @@ pub struct MbConv {
     conv1: Conv2d,
     conv2: DepthwiseConv2d,
     conv3: Conv2d,
+    hidden: usize,
 }
 
 impl MbConv {
+    /// Numbers of the hidden layer that are there at a time: some of the last cache.
+    pub(super) const BAND: usize = 1 << 20;
+
     /// Reads `conv1`, `conv2` and `conv3`.
     ///
     /// # Errors
@@ -85,18 +89,39 @@ impl MbConv {
             conv1: conv_bn(channels, hidden, 1, &weights.pp("conv1"))?,
             conv2: depthwise_bn(hidden, 3, &weights.pp("conv2"))?,
             conv3: conv_bn(hidden, channels, 1, &weights.pp("conv3"))?,
+            hidden,
         })
     }
 
     /// The block on `x`, whose shape stays.
     ///
+    /// The hidden layer, the largest of all, is there for some rows at a time.
+    ///
     /// # Errors
     ///
     /// If `x` has another number of channels.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let hidden = self.conv1.forward(x, Activation::Gelu)?;
+        let (batch, height, width, _) = x.dims4()?;
+        let at_once = (Self::BAND / (batch * width * self.hidden).max(1)).max(1);
+        let bands = (0..height.max(1))
+            .step_by(at_once)
+            .map(|first| self.rows(x, first, at_once.min(height - first)))
+            .collect::<Result<Vec<_>>>()?;
+        Tensor::cat(&bands, 1)
+    }
+
+    /// `count` rows of the result, from `first` on.
+    fn rows(&self, x: &Tensor, first: usize, count: usize) -> Result<Tensor> {
+        // A row more on either side, where there is one, for the 3x3 kernels.
+        let start = first.saturating_sub(1);
+        let end = (first + count + 1).min(x.dim(1)?);
+        let hidden = (self.conv1).forward(&x.narrow(1, start, end - start)?, Activation::Gelu)?;
         let hidden = self.conv2.forward(&hidden, Activation::Gelu)?;
-        Activation::Gelu.apply(&self.conv3.forward_add(&hidden, x)?)
+        let hidden = hidden.narrow(1, first - start, count)?;
+        let sum = self
+            .conv3
+            .forward_add(&hidden, &x.narrow(1, first, count)?)?;
+        Activation::Gelu.apply(&sum)
     }
 }
 
@@ -141,5 +166,32 @@ impl PatchMerging {
         let x = self.conv1.forward(x, Activation::Gelu)?;
         let x = self.conv2.forward(&x, Activation::Gelu)?;
         self.conv3.forward(&x, Activation::Identity)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::Device;
+
+    use super::*;
+
+    #[test]
+    fn rows_are_those_of_the_whole() {
+        let wave = |name: &str, shape: &[usize]| {
+            let value = |i: usize| ((i * 7919 + name.len()) as f32).sin() * 0.3 + 0.4;
+            (0..shape.iter().product()).map(value).collect()
+        };
+        let block = MbConv::new(4, 8, &Weights::from_fn(wave, &Device::Cpu)).unwrap();
+        let x = Tensor::randn(0.0_f32, 1.0, (2, 7, 5, 4), &Device::Cpu).unwrap();
+        let flat = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let whole = block.forward(&x).unwrap();
+        assert_eq!(whole.dims(), x.dims());
+        for (first, count) in [(0, 1), (0, 3), (2, 3), (6, 1)] {
+            let rows = block.rows(&x, first, count).unwrap();
+            let wanted = whole.narrow(1, first, count).unwrap();
+            for (got, want) in flat(&rows).iter().zip(flat(&wanted)) {
+                assert!((got - want).abs() < 1e-5, "{got} {want}");
+            }
+        }
     }
 }

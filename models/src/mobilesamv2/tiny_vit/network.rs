@@ -33,7 +33,7 @@ impl TinyVit {
         let (dims, layers) = (&config.embed_dims, weights.pp("layers"));
         Ok(Self {
             config: config.clone(),
-            work: Work::new(config),
+            work: Work::new(config)?,
             patch_embed: PatchEmbed::new(dims[0], &weights.pp("patch_embed"))?,
             layers: (0..dims.len())
                 .map(|i| Layer::new(config, i, &layers.pp(i)))
@@ -144,6 +144,6 @@ mod tests {
         network(&config)
             .forward_observed(&image, &mut done)
             .unwrap();
-        assert_eq!(done.0, Work::new(&config).total());
+        assert_eq!(done.0, Work::new(&config).unwrap().total());
     }
 }

@@ -1,5 +1,7 @@
 //! How much there is to compute.
 
+use candle_core::Result;
+
 use super::{Config, PatchEmbed, PatchMerging, TinyVit};
 use crate::mobilesamv2::Neck;
 
@@ -16,8 +18,13 @@ pub struct Work {
 }
 
 impl Work {
-    /// The work of a network of this configuration, which must be one.
-    pub fn new(config: &Config) -> Self {
+    /// The work of a network of this configuration.
+    ///
+    /// # Errors
+    ///
+    /// If the sizes in `config` do not fit each other.
+    pub fn new(config: &Config) -> Result<Self> {
+        config.validate()?;
         let (dims, grids) = (&config.embed_dims, config.grids());
         let pixels = |i: usize| (grids[i] * grids[i]) as f64;
         let layer = |i: usize| {
@@ -39,12 +46,12 @@ impl Work {
         };
         let (first, half) = (dims[0] as f64, (dims[0] / 2) as f64);
         let last = dims.len() - 1;
-        Self {
+        Ok(Self {
             // The first convolution has four times as many pixels as the second.
             patch_embed: pixels(0) * 9.0 * half * (4.0 * PatchEmbed::COLOURS as f64 + first),
             layers: (0..dims.len()).map(layer).collect(),
             neck: Neck::work(dims[last], TinyVit::OUTPUTS, grids[last] * grids[last]),
-        }
+        })
     }
 
     /// All of it.
@@ -61,7 +68,7 @@ mod tests {
     fn the_released_network() {
         // 38.8e9 were measured in the original, which also works on tokens beyond the image: 133^2 in
         // place of 128^2, 70^2 in place of 64^2, of attention only.
-        let work = Work::new(&Config::released());
+        let work = Work::new(&Config::released()).unwrap();
         let beyond = |dim: f64, tokens: f64, keys: f64| tokens * dim * (4.0 * dim + 2.0 * keys);
         let beyond = 2.0 * beyond(128.0, 133.0 * 133.0 - 128.0 * 128.0, 49.0)
             + 6.0 * beyond(160.0, 4900.0 - 4096.0, 196.0)

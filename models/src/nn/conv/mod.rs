@@ -189,6 +189,22 @@ impl Conv2d {
         self.run(x, activation, Some(residual))
     }
 
+    /// `activation(conv(x))` where the channels of `x` are those of `parts`, one after the other. A part
+    /// of a fraction of the height and width, like a half, stands for itself enlarged by
+    /// [`super::upsample_nearest`].
+    ///
+    /// # Errors
+    ///
+    /// If there are no parts, or they do not fit each other or the channels.
+    pub fn forward_of(&self, parts: &[&Tensor], activation: Activation) -> Result<Tensor> {
+        let heights = parts.iter().map(|part| part.dim(1));
+        let height = heights.collect::<Result<Vec<_>>>()?.into_iter().max();
+        let enlarged = (parts.iter())
+            .map(|part| super::upsample_nearest(part, height.unwrap_or(0) / part.dim(1)?.max(1)))
+            .collect::<Result<Vec<_>>>()?;
+        self.forward(&Tensor::cat(&enlarged, 3)?, activation)
+    }
+
     fn run(&self, x: &Tensor, activation: Activation, residual: Option<&Tensor>) -> Result<Tensor> {
         let images = self.images(x)?;
         let strided = images.strided(self.stride);
