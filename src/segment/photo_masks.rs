@@ -82,12 +82,7 @@ struct ImageEntry<'a> {
 
 impl PhotoMasks {
     /// Those of the `objects` of `picture`, the pixels of `photo`, that count.
-    pub fn new(
-        photo: &Photo,
-        picture: RgbImage,
-        objects: &[Object],
-        params: &MaskParams,
-    ) -> Self {
+    pub fn new(photo: &Photo, picture: RgbImage, objects: &[Object], params: &MaskParams) -> Self {
         let (width, height) = picture.dimensions();
         let masks: Vec<Mask> = objects.iter().map(|object| object.mask.clone()).collect();
         let chosen = params.chosen(&masks, width as usize * height as usize);
