@@ -171,6 +171,12 @@ pub fn run(
     let source = Source::new(network, found, progress)?;
     let trials = match source.config.clone() {
         Config::MvDust3r(config) => mvdust3r::trials(params, &config, &source)?,
+        _ => {
+            return Err(Error::request(
+                format!("{} cannot be measured by itself", network.title),
+                "choose a network that reconstructs",
+            ));
+        }
     };
     let rows = trials.iter().map(|trial| {
         let row = measure(trial, network, params, (threads, peak), progress);

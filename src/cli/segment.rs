@@ -49,7 +49,12 @@ pub(super) struct Segment {
     options: Options,
     /// Folder of the weights, a folder in it for each network, instead of where `tid3r weights path`
     /// finds them
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(
+        long,
+        alias = "weights-dir",
+        value_name = "FOLDER",
+        conflicts_with = "masks"
+    )]
     weights: Option<PathBuf>,
     /// Do it again even if nothing has changed
     #[arg(long)]
@@ -135,22 +140,28 @@ impl Options {
             let description = json!({ "label_images": folder, "content": content });
             return Ok((Box::new(images), description));
         }
-        if self.segmenter != Some(SegmenterChoice::Graph) {
-            match MobileSamWeights::find(places, self.encoder) {
-                Ok(found) => {
-                    let sam = MobileSam::new(&found, self.sam.clone())?;
-                    let description = json!({
-                        "mobilesamv2": sam.description(),
-                        "photos": MobileSam::content_hash(photos()),
-                    });
-                    return Ok((Box::new(sam), description));
-                }
-                Err(missing) if self.segmenter.is_some() => return Err(missing.into()),
-                Err(missing) => tracing::warn!(
-                    "masks are made from colour and depth without a network, which tells objects \
-                     apart less well (--segmenter graph says that this is meant): {missing}"
-                ),
+        let found = match self.segmenter {
+            Some(SegmenterChoice::Graph) => None,
+            Some(SegmenterChoice::Mobilesamv2) => {
+                Some(MobileSamWeights::find(places, self.encoder)?)
             }
+            None if self.encoder.is_some() => Some(MobileSamWeights::find(places, self.encoder)?),
+            None => MobileSamWeights::find_if_there(places, None)?
+                .inspect_err(|missing| {
+                    tracing::warn!(
+                        "masks are made from colour and depth without a network, which tells \
+                         objects apart less well (--segmenter graph if that is meant): {missing}"
+                    );
+                })
+                .ok(),
+        };
+        if let Some(found) = found {
+            let sam = MobileSam::new(&found, self.sam.clone())?;
+            let description = json!({
+                "mobilesamv2": sam.description(),
+                "photos": MobileSam::content_hash(photos()),
+            });
+            return Ok((Box::new(sam), description));
         }
         let description = json!({ "graph": self.graph });
         Ok((Box::new(GraphSegmenter(self.graph.clone())), description))
@@ -158,10 +169,13 @@ impl Options {
 }
 
 impl Segment {
-    pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
+    pub(super) fn run(mut self, terminal: &Terminal) -> Result<()> {
         let mut places = Places::of_environment();
         if let Some(folder) = &self.weights {
             places = places.with_models(folder);
+            // Whoever names weights wants them to be used.
+            let choice = &mut self.options.segmenter;
+            choice.get_or_insert(SegmenterChoice::Mobilesamv2);
         }
         let Some(folder) = &self.scene else {
             return self.run_on_photos(&places, terminal);

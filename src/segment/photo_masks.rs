@@ -82,12 +82,7 @@ struct ImageEntry<'a> {
 
 impl PhotoMasks {
     /// Those of the `objects` of `picture`, the pixels of `photo`, that count.
-    pub fn new(
-        photo: &Photo,
-        picture: RgbImage,
-        objects: Vec<Object>,
-        params: &MaskParams,
-    ) -> Self {
+    pub fn new(photo: &Photo, picture: RgbImage, objects: &[Object], params: &MaskParams) -> Self {
         let (width, height) = picture.dimensions();
         let masks: Vec<Mask> = objects.iter().map(|object| object.mask.clone()).collect();
         let chosen = params.chosen(&masks, width as usize * height as usize);
@@ -197,7 +192,7 @@ mod tests {
             min_mask_area: 0.02,
             ..MaskParams::default()
         };
-        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), objects, &params);
+        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), &objects, &params);
         let report = masks.write(folder.path(), &Value::Null, true).unwrap();
         assert_eq!((report.masks, report.labels, report.covered), (3, 3, 1.0));
         let text = std::fs::read(report.folder.join("masks.json")).unwrap();
@@ -237,7 +232,7 @@ mod tests {
         let objects = vec![object(0..60), object(0..30), object(30..60)];
         let photo = Photo::new("a", "a.jpg");
         let params = MaskParams::default();
-        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), objects, &params);
+        let masks = PhotoMasks::new(&photo, RgbImage::new(10, 10), &objects, &params);
         let report = masks.write(folder.path(), &Value::Null, false).unwrap();
         assert_eq!((report.masks, report.labels, report.covered), (3, 2, 0.6));
         let labels: Vec<_> = (0..3).map(|k| masks.annotation(k).label).collect();

@@ -83,13 +83,19 @@ fn a_scene_is_cut_with_the_weights_that_are_there() {
     let place = Place::with_recording();
     place.run("import recording -o scene");
     place.run("clean scene");
-    let [_, err] = place.run_loud("segment scene --weights models");
+    let [_, err] = place.run_loud("segment scene");
     assert!(
         err.contains("without a network") && err.contains("mobilesamv2-detector"),
         "{err}"
     );
-    let message = place.fail("segment scene --segmenter mobilesamv2 --weights models");
-    assert!(message.contains("weights convert"), "{message}");
+    for explicit in [
+        "--segmenter mobilesamv2",
+        "--weights models",
+        "--encoder tiny-vit",
+    ] {
+        let message = place.fail(&format!("segment scene {explicit}"));
+        assert!(message.contains("weights convert"), "{message}");
+    }
 
     add_weights(&place);
     let [_, err] = place.run_loud(&format!("segment scene {ALL}"));
@@ -117,6 +123,9 @@ fn what_cannot_be_is_said_before_any_work() {
     assert!(message.contains("missing.png"), "{message}");
     let message = place.fail("segment --photo a.png --weights nowhere");
     assert!(message.contains("mobilesamv2-detector"), "{message}");
+    place.write("models/mobilesamv2-decoder/config.json", "{}");
+    let message = place.fail("segment --photo a.png --weights models");
+    assert!(message.contains("config.json"), "{message}");
     fs::remove_dir_all(place.path("models/mobilesamv2-decoder")).unwrap();
     let message = place.fail("segment --photo a.png --weights models");
     assert!(message.contains("mobilesamv2-decoder"), "{message}");

@@ -5,11 +5,7 @@ use crate::{
     machine::{available_memory, readable_bytes, readable_seconds},
 };
 use tid3r_models::{
-    mobilesamv2::{
-        ImageEncoder, decoder,
-        detector::{self, Detector},
-        efficient_vit, tiny_vit, vit,
-    },
+    mobilesamv2::{ImageEncoder, decoder, detector, efficient_vit, tiny_vit, vit},
     nn::cpu::measured_peak_flops,
 };
 
@@ -89,7 +85,7 @@ pub(super) fn work(networks: &Networks, params: &MobileSamParams) -> candle_core
     let detector = detector::Work::new(networks.detector.config(), detector_size(params))?;
     let encoder = match &networks.encoder {
         ImageEncoder::EfficientVit(encoder) => efficient_vit::Work::new(encoder.config()).total(),
-        ImageEncoder::TinyVit(encoder) => tiny_vit::Work::new(encoder.config()).total(),
+        ImageEncoder::TinyVit(encoder) => tiny_vit::Work::new(encoder.config())?.total(),
         ImageEncoder::Vit(encoder) => vit::Work::new(encoder.config()).total(),
     };
     let decoder = decoder::Work::new(networks.decoder.config()).total(objects(params));
@@ -113,28 +109,9 @@ fn bytes(networks: &Networks, params: &MobileSamParams) -> candle_core::Result<u
             (memory.weights, memory.working)
         }
     };
-    let (detector_weights, detector_working) = detector_bytes(networks, params)?;
+    let detector = detector::Memory::new(networks.detector.config(), detector_size(params))?;
     let options = decoder::Options::default();
     let decoder = decoder::Memory::new(networks.decoder.config(), objects(params), &options)?;
-    let most = working.max(detector_working).max(decoder.working);
-    Ok(PROGRAM_BYTES + weights + detector_weights + decoder.weights + most)
-}
-
-/// Of the detector: its weights, as in the file and once more as laid out for the kernels; and its largest
-/// maps, those of half and quarter of the image's size.
-fn detector_bytes(
-    networks: &Networks,
-    params: &MobileSamParams,
-) -> candle_core::Result<(usize, usize)> {
-    const FLOAT: usize = size_of::<f32>();
-    let config = networks.detector.config();
-    let (height, width) = detector_size(params);
-    let tensors = Detector::tensors(config)?;
-    let weights: usize = tensors
-        .values()
-        .map(|shape| shape.iter().product::<usize>())
-        .sum();
-    let [half, quarter, ..] = config.widths;
-    let maps = height * width * (3 + half / 4 + (5 + config.repeats[0]) * quarter / 16);
-    Ok((2 * weights * FLOAT, maps * FLOAT))
+    let most = working.max(detector.working).max(decoder.working);
+    Ok(PROGRAM_BYTES + weights + detector.weights + decoder.weights + most)
 }

@@ -15,6 +15,7 @@ mod mask_resize;
 mod networks;
 mod params;
 mod sam_frame;
+mod sharp_picture;
 mod weights;
 
 pub use boxes::{BoxSelection, Detection};
@@ -32,13 +33,14 @@ use super::{
 use crate::{
     Error, Result,
     error::network_problem,
-    photos::{Photo, PhotoTransform},
+    photos::Photo,
     progress::Progress,
     scene::{Frame, Hasher},
 };
 use estimate::PictureEstimate;
 use image::RgbImage;
 use serde_json::{Value, json};
+use sharp_picture::sharp_picture;
 use std::{fs, path::Path};
 use tid3r_models::Observer;
 
@@ -138,7 +140,7 @@ impl MobileSam {
             let picture = photo.load()?;
             let size = [picture.width(), picture.height()];
             let objects = self.objects(&picture, size, &mut |share| steps.reach(share))?;
-            let masks = PhotoMasks::new(photo, picture, objects, params);
+            let masks = PhotoMasks::new(photo, picture, &objects, params);
             let report = masks.write(parent, &self.description(), each)?;
             steps.reach(1.0);
             Ok(report)
@@ -146,33 +148,6 @@ impl MobileSam {
         let reports = photos.iter().map(cut).collect();
         progress.end();
         reports
-    }
-
-    /// What a frame shows, as sharp as is of use: out of the photo itself, of which the frame is but a
-    /// small copy, if that is there.
-    fn picture(&self, frame: &Frame) -> RgbImage {
-        let transform = &frame.transform;
-        let long = transform.crop_size[0].max(transform.crop_size[1]);
-        let seen = f64::from(self.params.detector_size.max(SamFrame::SIDE));
-        let scale = (seen / long).min(1.0);
-        let sharper = PhotoTransform {
-            frame_size: transform
-                .crop_size
-                .map(|side| (side * scale).round().max(1.0) as u32),
-            ..*transform
-        };
-        if sharper.frame_size[0] <= frame.colour.width() {
-            return frame.colour.clone();
-        }
-        let photo = frame.photo.load();
-        let picture = photo.and_then(|photo| sharper.apply(&photo, &frame.photo.path));
-        picture.unwrap_or_else(|problem| {
-            tracing::warn!(
-                "masks of {} are of its small frame: {problem}",
-                frame.photo.name
-            );
-            frame.colour.clone()
-        })
     }
 }
 
@@ -185,8 +160,10 @@ impl Segmenter for MobileSam {
     }
 
     fn segment(&self, frame: &Frame, done: &mut dyn FnMut(f64)) -> Result<Vec<Mask>> {
+        let seen = self.params.detector_size.max(SamFrame::SIDE);
+        let picture = sharp_picture(frame, seen);
         let (width, height) = frame.colour.dimensions();
-        let objects = self.objects(&self.picture(frame), [width, height], done)?;
+        let objects = self.objects(&picture, [width, height], done)?;
         Ok(objects.into_iter().map(|object| object.mask).collect())
     }
 }

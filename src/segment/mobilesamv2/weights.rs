@@ -54,6 +54,20 @@ impl MobileSamWeights {
         }
     }
 
+    /// As [`Self::find`], but the inner error says which weights are merely missing.
+    ///
+    /// # Errors
+    /// When weights are there and damaged.
+    pub fn find_if_there(
+        places: &Places,
+        encoder: Option<EncoderChoice>,
+    ) -> Result<Result<Self, Error>> {
+        match Self::find(places, encoder) {
+            Err(error) if !is_missing(&error) => Err(error),
+            found => Ok(found),
+        }
+    }
+
     /// The networks.
     ///
     /// # Errors
@@ -98,15 +112,26 @@ impl MobileSamWeights {
     }
 }
 
-/// One error that says what all of them say.
+/// Whether weights are merely not there, rather than damaged.
+fn is_missing(error: &Error) -> bool {
+    matches!(
+        error,
+        Error::Request { .. } | Error::Weights(tid3r_weights_convert::Error::Request { .. })
+    )
+}
+
+/// The first error about weights that are damaged; else one that says all that are missing.
 fn joined(mut errors: Vec<Error>) -> Error {
+    if let Some(damaged) = errors.iter().position(|error| !is_missing(error)) {
+        return errors.swap_remove(damaged);
+    }
     if errors.len() == 1 {
-        return errors.remove(0);
+        return errors.swap_remove(0);
     }
     let all: Vec<String> = errors.iter().map(Error::to_string).collect();
     Error::request(
         format!(
-            "{} of MobileSAMv2's three networks cannot be had: {}",
+            "{} of MobileSAMv2's three networks are missing: {}",
             all.len(),
             all.join(" | ")
         ),
