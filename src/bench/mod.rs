@@ -1,5 +1,6 @@
 //! How fast the networks run on this machine.
 
+mod mobilesamv2;
 mod mvdust3r;
 
 use crate::{
@@ -12,7 +13,16 @@ use candle_core::Device;
 use clap::builder::PossibleValuesParser;
 use serde::Serialize;
 use std::{str::FromStr, time::Instant};
-use tid3r_models::{Weights, nn::cpu::measured_peak_flops};
+use tid3r_models::{
+    Weights,
+    mobilesamv2::{
+        ImageEncoder,
+        efficient_vit::{self, EfficientVit},
+        tiny_vit::{self, TinyVit},
+        vit::{self, Vit},
+    },
+    nn::cpu::measured_peak_flops,
+};
 use tid3r_weights_convert::{Config, Found, Network, synth};
 
 /// What is measured.
@@ -26,7 +36,12 @@ pub struct BenchParams {
     #[arg(long, value_name = "N,..", value_delimiter = ',',
           value_parser = clap::value_parser!(u32).range(2..=200))]
     pub views: Vec<u32>,
-    /// Size of the pictures: multiples of 16 for MV-DUSt3R(+) [default: 224x224]
+    /// Numbers of boxes of which MobileSAMv2's decoder makes masks, each measured by itself [default: 100]
+    #[arg(long, value_name = "N,..", value_delimiter = ',',
+          value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub boxes: Vec<u32>,
+    /// Size of the pictures: of MV-DUSt3R(+) in steps of 16 [default: 224x224], of MobileSAMv2's detector of 32
+    /// [default: 1024x1024]
     #[arg(long, value_name = "WxH")]
     pub size: Option<Size>,
     /// Type of the numbers that are computed with
@@ -62,6 +77,15 @@ pub struct Size {
 }
 
 impl Size {
+    /// As high as it is wide.
+    fn square(side: usize) -> Self {
+        let side = side as u32;
+        Self {
+            width: side,
+            height: side,
+        }
+    }
+
     /// Its sides, each of which must be a multiple of `step`.
     fn in_steps_of(self, step: u32) -> Result<(usize, usize)> {
         if self.width.is_multiple_of(step) && self.height.is_multiple_of(step) {
@@ -132,14 +156,31 @@ pub struct Load {
     /// Photos that it saw at once.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<u32>,
+    /// Boxes of which it made masks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub boxes: Option<u32>,
     /// Size of the pictures.
     pub size: Size,
+}
+
+impl Load {
+    /// One picture.
+    fn of_size(size: Size) -> Self {
+        Self {
+            views: None,
+            boxes: None,
+            size,
+        }
+    }
 }
 
 impl std::fmt::Display for Load {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         if let Some(views) = self.views {
             write!(f, "{views} views, ")?;
+        }
+        if let Some(boxes) = self.boxes {
+            write!(f, "{boxes} boxes, ")?;
         }
         write!(f, "{}", self.size)
     }
@@ -171,10 +212,28 @@ pub fn run(
     let source = Source::new(network, found, progress)?;
     let trials = match source.config.clone() {
         Config::MvDust3r(config) => mvdust3r::trials(params, &config, &source)?,
+        Config::Detector(config) => mobilesamv2::detector(params, &config, &source)?,
+        Config::EfficientVit(config) => {
+            let encoder = EfficientVit::new(&config, &source.weights()?).map_err(failed)?;
+            let work = efficient_vit::Work::new(&config);
+            let work = (work.total(), work.total());
+            mobilesamv2::encoder(ImageEncoder::EfficientVit(encoder), work)?
+        }
+        Config::TinyVit(config) => {
+            let encoder = TinyVit::new(&config, &source.weights()?).map_err(failed)?;
+            let work = tiny_vit::Work::new(&config).map_err(failed)?.total();
+            mobilesamv2::encoder(ImageEncoder::TinyVit(encoder), (work, work))?
+        }
+        Config::Vit(config) => {
+            let encoder = Vit::new(&config, &source.weights()?).map_err(failed)?;
+            let work = vit::Work::new(&config).total();
+            mobilesamv2::encoder(ImageEncoder::Vit(encoder), (work, work))?
+        }
+        Config::Decoder(config) => mobilesamv2::decoder(params, &config, &source)?,
         _ => {
             return Err(Error::request(
                 format!("{} cannot be measured by itself", network.title),
-                "choose a network that reconstructs",
+                "choose another network",
             ));
         }
     };

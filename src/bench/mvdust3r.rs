@@ -14,15 +14,12 @@ pub(super) fn trials(
     source: &Source<'_>,
 ) -> Result<Vec<Trial>> {
     const VIEWS: [u32; 3] = [2, 4, 8];
-    const SIZE: Size = Size {
-        width: 224,
-        height: 224,
-    };
+    const SIDE: usize = 224;
     let config = Config {
         gs: config.gs && (params.gaussians || source.found.is_some()),
         ..config.clone()
     };
-    let size = params.size.unwrap_or(SIZE);
+    let size = params.size.unwrap_or(Size::square(SIDE));
     let (width, height) = size.in_steps_of(config.patch_size as u32)?;
     let network = MvDust3r::new(&config, &source.weights()?).map_err(failed)?;
     let network = Rc::new(network);
@@ -53,7 +50,7 @@ pub(super) fn trials(
         Ok(Trial {
             load: Load {
                 views: Some(views),
-                size,
+                ..Load::of_size(size)
             },
             defined: work.total(),
             computed: work.computed(),
