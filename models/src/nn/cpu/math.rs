@@ -93,7 +93,7 @@ fn gated<S: Simd>(simd: S, x: S::V, t: S::V) -> S::V {
 #[inline(always)]
 fn gelu_tanh<S: Simd>(simd: S, x: S::V) -> S::V {
     // 2 sqrt(2 / pi), and that times 0.044715.
-    const LINEAR: f32 = 1.595_769_1;
+    const LINEAR: f32 = 1.595_769;
     const CUBIC: f32 = 0.071_354_814;
     let slope = simd.fma(simd.splat(CUBIC), simd.mul(x, x), simd.splat(LINEAR));
     gated(simd, x, simd.mul(x, slope))
@@ -218,9 +218,9 @@ mod tests {
         // `x` times the logistic function of these.
         let gelu_tanh =
             |x: f64| 2.0 * (2.0 / std::f64::consts::PI).sqrt() * (x + 0.044715 * x.powi(3));
-        let gates: [(Activation, &dyn Fn(f64) -> f64, f32); 2] = [
-            (Activation::Silu, &|x| x, 80.0),
-            (Activation::GeluTanh, &gelu_tanh, 6.0),
+        let gates = [
+            (Activation::Silu, (|x| x) as fn(f64) -> f64, 80.0),
+            (Activation::GeluTanh, gelu_tanh, 6.0),
         ];
         for (activation, gate, end) in gates {
             for x in [sweep(0.01), sweep(end)] {

@@ -110,6 +110,7 @@ impl Gathered {
                 c: &c,
                 bias: Some(epilogue.bias),
                 activation: epilogue.activation,
+                then: None,
                 residual: residual.as_deref(),
             };
             // SAFETY: the table has the pieces of these rows; no other task has the same rows and

@@ -101,6 +101,7 @@ impl Transpose {
                 c: &c,
                 bias: Some(&self.bias),
                 activation,
+                then: None,
                 residual: None,
             };
             // SAFETY: the table has these pixels' channels; no other part has these pixels and this

@@ -145,7 +145,7 @@ impl Finish<'_> {
         columns: usize,
         column: usize,
         c: impl Fn(usize) -> *mut f32,
-        residual: Option<impl Fn(usize) -> *const f32>,
+        residual: Option<impl Fn(usize) -> *const f32 + Copy>,
     ) {
         for i in 0..rows {
             for j in (0..columns).step_by(S::LANES) {

@@ -8,8 +8,8 @@ use crate::nn::Activation;
 use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::simd::{MAX_TILE, Piece, Simd};
 
-/// Depth of a block, at most: a panel of `B` then stays in half of the first cache.
-const DEPTH: usize = 256;
+/// Depth of a block, at most: a panel of `B` and a tile's rows then stay in the first cache.
+const DEPTH: usize = 320;
 
 /// Numbers in a line of a cache.
 const LINE: usize = 16;
@@ -119,6 +119,8 @@ pub(in crate::nn::cpu) struct Scattered<'a> {
     pub(in crate::nn::cpu) c: &'a [*mut f32],
     pub(in crate::nn::cpu) bias: Option<&'a [f32]>,
     pub(in crate::nn::cpu) activation: Activation,
+    /// What is multiplied with the same panels next, to be brought nearer meanwhile.
+    pub(in crate::nn::cpu) then: Option<&'a PackedFactor>,
     /// Where the rows that are added last begin; as many.
     pub(in crate::nn::cpu) residual: Option<&'a [*const f32]>,
 }
@@ -160,7 +162,10 @@ impl Task for Scattered<'_> {
                 let column = panel * S::NR;
                 let columns = (self.b.columns() - column).min(S::NR);
                 let next = panel + 1;
-                let following = (next < self.panels.end).then(|| b.skip(next).as_ptr());
+                let following = match next < self.panels.end {
+                    true => Some(b.skip(next).as_ptr()),
+                    false => (self.then).map(|b| b.panels().skip(self.panels.start).as_ptr()),
+                };
                 let b = b.skip(panel).as_ptr();
                 for (i, c) in self.c.chunks(S::MR).enumerate() {
                     let row = i * S::MR;

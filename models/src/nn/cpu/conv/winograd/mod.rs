@@ -30,11 +30,9 @@ use input::Data;
 use output::{Outputs, Tile};
 use transform::Transform;
 
-/// Tiles of a group. The more, the less often the filters are read: from the last level of cache if they
-/// fit, where groups should rather be small enough for the second.
-const TILES: [(usize, usize); 2] = [(1 << 20, 24), (4 << 20, 48)];
-/// The same for filters of more bytes.
-const TILES_MOST: usize = 96;
+/// Tiles of a group, about. The more, the less often the filters are read, from the last level of cache
+/// if they fit there.
+const TILES: usize = 96;
 /// Outputs whose products exist at a time, a multiple of all tiles' columns.
 const OUTPUTS: usize = 64;
 /// Numbers between two points' matrices, beside their size: without, the same place in all of them
@@ -143,14 +141,10 @@ impl Winograd {
 
     /// How many of `tiles` to take at a time.
     fn group_size(&self, tiles: usize) -> usize {
-        let points = self.scheme.products().pow(2);
-        let bytes = points * self.inputs * self.outputs * size_of::<f32>();
-        let fitting = TILES.into_iter().find(|&(most, _)| bytes <= most);
-        let size = fitting.map_or(TILES_MOST, |(_, size)| size);
         let (rows, _) = self.isa.tile();
         // No thread is without a group.
         let shared = tiles.div_ceil(rayon::current_num_threads());
-        size.min(shared).next_multiple_of(rows)
+        TILES.min(shared).next_multiple_of(rows)
     }
 }
 
@@ -197,8 +191,9 @@ impl Group<'_> {
         let mut products = Scratch::take(N * N * plane);
         for first in (0..outputs).step_by(OUTPUTS) {
             let count = OUTPUTS.min(outputs - first);
-            for ((products, table), filter) in
-                (products.chunks_exact_mut(plane).zip(&tables)).zip(&self.layer.filters)
+            let filters = &self.layer.filters;
+            for (point, (products, table)) in
+                products.chunks_exact_mut(plane).zip(&tables).enumerate()
             {
                 let start = products.as_mut_ptr().wrapping_sub(first);
                 let row = |i: usize| start.wrapping_add(i * OUTPUTS);
@@ -206,11 +201,12 @@ impl Group<'_> {
                 let product = Scattered {
                     a: table,
                     pieces: &pieces,
-                    b: filter,
+                    b: &filters[point],
                     panels: first / nr..(first + count).div_ceil(nr),
                     c: &c,
                     bias: None,
                     activation: Activation::Identity,
+                    then: filters.get(point + 1),
                     residual: None,
                 };
                 // SAFETY: each tile has the inputs at each point, and room for these outputs.
