@@ -10,7 +10,7 @@ use tid3r_models::{
 };
 
 /// The share of the machine's best that the networks reach, by experience.
-const REACHED: f64 = 0.5;
+const REACHED: f64 = 0.35;
 /// Objects that a photo of a room has, by experience.
 const OBJECTS: usize = 60;
 /// Taken by the program itself.
