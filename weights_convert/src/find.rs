@@ -133,6 +133,15 @@ impl Places {
         }
     }
 
+    /// The same, but converted weights are in `models`, whatever the environment says.
+    #[must_use]
+    pub fn with_models(self, models: impl Into<PathBuf>) -> Self {
+        Self {
+            models: Some(models.into()),
+            ..self
+        }
+    }
+
     /// The folder for converted weights of `network`, if `TID3R_MODELS` names one.
     pub fn folder(&self, network: &Network) -> Option<PathBuf> {
         Some(self.models.as_ref()?.join(network.name))
