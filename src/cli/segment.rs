@@ -5,10 +5,12 @@ use serde_json::json;
 use std::path::PathBuf;
 use tid3r::{
     edit::{self, EditList},
+    progress::Progress,
     reconstruct,
     scene::{Role, Scene, Stage, WriteLock},
     segment::{
-        GraphParams, GraphSegmenter, LabelImages, MaskParams, Segmentation, Segmenter, UnifyParams,
+        GraphParams, GraphSegmenter, LabelImages, MaskParams, SegmentReport, Segmentation,
+        Segmenter, UnifyParams,
     },
 };
 
@@ -21,6 +23,19 @@ use tid3r::{
 pub(super) struct Segment {
     #[command(flatten)]
     scene: SceneArgument,
+    #[command(flatten)]
+    options: Options,
+    /// Do it again even if nothing has changed
+    #[arg(long)]
+    force: bool,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Where masks come from, and what becomes of them.
+#[derive(Debug, Args)]
+pub(super) struct Options {
     /// Take masks from label images: one PNG for each photo, called like it, a value for each mask,
     /// 0 for none; values need not agree between photos
     #[arg(long, value_name = "FOLDER")]
@@ -34,12 +49,6 @@ pub(super) struct Segment {
     /// Keep every mask an instance of its own (the paper's ablation)
     #[arg(long, help_heading = "Unification")]
     no_unify: bool,
-    /// Do it again even if nothing has changed
-    #[arg(long)]
-    force: bool,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 impl Segment {
@@ -52,6 +61,30 @@ impl Segment {
             );
             reconstruct::clean(&mut scene, &Default::default(), false, &lock, terminal)?;
         }
+        let report = self
+            .options
+            .segment(&mut scene, self.force, &lock, terminal)?;
+        if self.json {
+            return output::json(&report);
+        }
+        output::line(format!(
+            "{} masks became {} instances; {} shows them",
+            report.masks,
+            report.instances,
+            scene.folder().join("contact_sheet.png").display(),
+        ))
+    }
+}
+
+impl Options {
+    /// Segments a cleaned scene, and draws its overviews.
+    pub(super) fn segment(
+        self,
+        scene: &mut Scene,
+        force: bool,
+        lock: &WriteLock,
+        progress: &dyn Progress,
+    ) -> Result<SegmentReport> {
         let (segmenter, description): (Box<dyn Segmenter>, _) = match self.masks {
             Some(folder) => {
                 let images = LabelImages::open(&folder)?;
@@ -76,20 +109,12 @@ impl Segment {
             masks: self.mask_params,
             unify: (!self.no_unify).then_some(self.unify),
         };
-        let report = segmentation.run(&mut scene, self.force, &lock, terminal)?;
-        let list = EditList::load(&scene).or_else(|stale| {
+        let report = segmentation.run(scene, force, lock, progress)?;
+        let list = EditList::load(scene).or_else(|stale| {
             tracing::warn!("{stale}");
-            EditList::cleared(&scene)
+            EditList::cleared(scene)
         })?;
-        edit::write_overviews(&scene, list.edits(), &lock)?;
-        if self.json {
-            return output::json(&report);
-        }
-        output::line(format!(
-            "{} masks became {} instances; {} shows them",
-            report.masks,
-            report.instances,
-            scene.folder().join("contact_sheet.png").display(),
-        ))
+        edit::write_overviews(scene, list.edits(), lock)?;
+        Ok(report)
     }
 }
