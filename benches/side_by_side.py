@@ -1,24 +1,31 @@
-"""Times the original MV-DUSt3R(+) in PyTorch and tid3r side by side, on the CPU.
+"""Times the original networks in PyTorch and tid3r side by side, on the CPU.
 
-Each round runs both for every number of views, one right after the other, and rounds take turns in
-which goes first. Every run is a process of its own: one forward pass that is not timed, one that is.
-The table gives medians over the rounds of the seconds, and the most memory that a process of either
+Each round runs both for every load (numbers of photos, of boxes), one right after the other, and rounds
+take turns in which goes first. Every run is a process of its own: one forward pass that is not timed, one
+that is. The table gives medians over the rounds of the seconds, and the most memory that a process of either
 had resident (for PyTorch from its start, libraries and construction included; for tid3r from when its
-weights stand in memory). Weights are random, of full size, and pictures 224x224 in single precision:
-speed depends on neither.
+weights stand in memory). Weights are random, of full size, and so are the inputs, in single precision:
+speed depends on neither. MV-DUSt3R(+) sees pictures of 224x224, MobileSAMv2 of 1024x1024.
 
 Figures count on an idle machine only: other work slows the two sides by different factors. On Linux the
 script measures how many cores other processes kept busy during each run, and says so.
 
-The original always computes all of its outputs: Gaussians, and all paths of MV-DUSt3R+. tid3r computes
-what a reconstruction needs (points and confidences of the first path), unless told to compute the
-same by --all-outputs.
+The original always computes all of its outputs: Gaussians, all paths of MV-DUSt3R+, mask coefficients of the
+detector. tid3r computes what is used (points and confidences of the first path; boxes and scores), unless
+told to compute all of MV-DUSt3R's by --all-outputs. Batch norms are folded on both sides.
 
-Needs a checkout of https://github.com/facebookresearch/mvdust3r, a release build of tid3r, and a
-Python with torch, numpy, einops and huggingface_hub. Other packages that the original imports, its
-network does not use; where they are missing, empty stand-ins take their place.
+Needs a release build of tid3r, and
+
+- for MV-DUSt3R(+) a checkout of https://github.com/facebookresearch/mvdust3r, and a Python with torch, numpy,
+  einops and huggingface_hub;
+- for MobileSAMv2 a checkout of https://github.com/ChaoningZhang/MobileSAM, and a Python with torch,
+  torchvision, timm, numpy, opencv-python-headless, pyyaml, requests, tqdm and setuptools < 81.
+
+Other packages that the originals import, their networks do not use; where they are missing, empty
+stand-ins take their place.
 
     python3 benches/side_by_side.py --upstream ../mvdust3r --tid3r target/release/tid3r --threads 2
+    python3 benches/side_by_side.py --upstream ../MobileSAM --tid3r target/release/tid3r --model mobilesamv2-decoder
 """
 
 from __future__ import annotations
@@ -35,13 +42,11 @@ import subprocess
 import sys
 import time
 import types
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
-
-SIDE = 224
-"""Width and height of the pictures, in pixels."""
 
 REFERENCES = 4
 """Reference views, and so paths, of MV-DUSt3R+."""
@@ -52,9 +57,16 @@ UNUSED = {
     "gsplat",
     "imageio",
     "matplotlib",
+    "onnx",
+    "onnxsim",
+    "pandas",
+    "psutil",
     "pytorch3d",
     "scipy",
+    "seaborn",
+    "thop",
     "torchmetrics",
+    "torchpack",
     "torchvision",
 }
 """Packages that the original imports for training, data and rendering."""
@@ -128,8 +140,8 @@ class StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         pass
 
 
-def time_original(upstream: Path, model: str, views: int, threads: int) -> dict[str, Any]:
-    """Builds the original network in this process and times one forward pass, after one that is not timed."""
+def mvdust3r(upstream: Path, model: str, views: int) -> Callable[[], object]:
+    """The original MV-DUSt3R(+), to be run on `views` pictures."""
     import huggingface_hub  # noqa: F401  before the stand-ins: it looks for what is installed
     import torch
 
@@ -139,13 +151,11 @@ def time_original(upstream: Path, model: str, views: int, threads: int) -> dict[
     sys.meta_path.append(StandIns())
     from dust3r.model import AsymmetricCroCo3DStereoMultiView
 
-    torch.set_num_threads(threads)
-    torch.manual_seed(0)
     infinity = float("inf")
     plus = model == "mvdust3r-plus"
     network = AsymmetricCroCo3DStereoMultiView(
         pos_embed="RoPE100",
-        img_size=(SIDE, SIDE),
+        img_size=(224, 224),
         head_type="linear",
         output_mode="pts3d",
         depth_mode=("exp", -infinity, infinity),
@@ -163,11 +173,101 @@ def time_original(upstream: Path, model: str, views: int, threads: int) -> dict[
         m_ref_flag=plus,
         n_ref=REFERENCES if plus else None,
     ).eval()
-    pictures = [{"img": torch.rand(1, 3, SIDE, SIDE) * 2 - 1} for _ in range(views)]
+    pictures = [{"img": torch.rand(1, 3, 224, 224) * 2 - 1} for _ in range(views)]
+    return lambda: network(pictures[0], pictures[1:])
+
+
+def mobilesamv2(upstream: Path, model: str, boxes: int) -> Callable[[], object]:
+    """A network of the original MobileSAMv2; the decoder makes masks of `boxes` boxes in one batch."""
+    import torch
+
+    sys.path.insert(0, str(upstream / "MobileSAMv2"))
+    sys.meta_path.append(StandIns())
+    picture = torch.rand(1, 3, 1024, 1024)
+    if model == "mobilesamv2-detector":
+        from ultralytics.nn.tasks import SegmentationModel, yaml_model_load
+
+        layout = yaml_model_load(upstream / "MobileSAMv2/ultralytics/models/v8/yolov8-seg.yaml")
+        detector = SegmentationModel({**layout, "scale": "x"}, ch=3, nc=1, verbose=False).eval().fuse(verbose=False)
+        return lambda: detector(picture)
+    from mobilesamv2 import build_sam
+
+    if model == "mobilesamv2-decoder":
+        parts = build_sam.build_PromptGuidedDecoder()
+        prompt_encoder, mask_decoder = parts["PromtEncoder"].eval(), parts["MaskDecoder"].eval()
+        features = torch.randn(1, 256, 64, 64)
+        corners = torch.rand(boxes, 4) * 512
+        corners[:, 2:] += 512
+
+        def decode() -> object:
+            sparse, dense = prompt_encoder(points=None, boxes=corners, masks=None)
+            return mask_decoder(
+                image_embeddings=features.repeat_interleave(boxes, 0),
+                image_pe=prompt_encoder.get_dense_pe().repeat_interleave(boxes, 0),
+                sparse_prompt_embeddings=sparse,
+                dense_prompt_embeddings=dense,
+                multimask_output=False,
+                simple_type=True,
+            )
+
+        return decode
+    if model == "mobilesamv2-efficientvit-l2":
+        backbone = build_sam.EfficientViTLargeBackbone(
+            width_list=[32, 64, 128, 256, 512],
+            depth_list=[1, 2, 2, 8, 8],
+            in_channels=3,
+            qkv_dim=32,
+            norm="bn2d",
+            act_func="gelu",
+        )
+        neck = build_sam.SamNeck(
+            fid_list=["stage4", "stage3", "stage2"],
+            in_channel_list=[512, 256, 128],
+            head_width=256,
+            head_depth=12,
+            expand_ratio=1,
+            middle_op="fmbconv",
+            out_dim=256,
+        )
+        encoder = build_sam.EfficientViTSamImageEncoder(backbone, neck)
+    elif model == "mobilesamv2-tiny-vit":
+        encoder = build_sam.build_sam_vit_t_encoder()
+    else:
+        encoder = build_sam.build_sam_vit_h_encoder()
+    encoder.eval()
+    return lambda: encoder(picture)
+
+
+MODELS = {
+    "mvdust3r": ("views", mvdust3r),
+    "mvdust3r-plus": ("views", mvdust3r),
+    "mobilesamv2-detector": (None, mobilesamv2),
+    "mobilesamv2-efficientvit-l2": (None, mobilesamv2),
+    "mobilesamv2-tiny-vit": (None, mobilesamv2),
+    "mobilesamv2-sam-vit-h": (None, mobilesamv2),
+    "mobilesamv2-decoder": ("boxes", mobilesamv2),
+}
+"""For each network, what its load is counted in, and what makes the original."""
+
+UPSTREAM = {
+    mvdust3r: ("facebookresearch/mvdust3r", "dust3r/model.py"),
+    mobilesamv2: ("ChaoningZhang/MobileSAM", "MobileSAMv2/mobilesamv2/build_sam.py"),
+}
+"""For each maker, the repository of the original, and a file by which a checkout is known."""
+
+
+def time_original(upstream: Path, model: str, load: int, threads: int) -> dict[str, Any]:
+    """Builds the original network in this process and times one forward pass, after one that is not timed."""
+    import torch
+
+    torch.set_num_threads(threads)
+    torch.manual_seed(0)
+    _, original = MODELS[model]
     with torch.inference_mode():
-        network(pictures[0], pictures[1:])
+        forward = original(upstream, model, load)
+        forward()
         start = time.perf_counter()
-        network(pictures[0], pictures[1:])
+        forward()
         seconds = time.perf_counter() - start
     unit = 1 if sys.platform == "darwin" else 1024
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
@@ -185,19 +285,22 @@ def output_of(command: list[str], environment: dict[str, str] | None = None) -> 
     return done.stdout
 
 
-def run_original(args: argparse.Namespace, views: int) -> tuple[float, int | None, str]:
+def run_original(args: argparse.Namespace, load: int) -> tuple[float, int | None, str]:
     """Seconds, peak memory and version of the original, in a process of its own."""
     command = [sys.executable, "-W", "ignore", __file__, "--original-alone"]
     command += ["--upstream", str(args.upstream), "--tid3r", str(args.tid3r)]
-    command += ["--model", args.model, "--views", str(views), "--threads", str(args.threads)]
+    command += ["--model", args.model, "--load", str(load), "--threads", str(args.threads)]
     threads = str(args.threads)
     result = json.loads(output_of(command, {**os.environ, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}))
     return result["seconds"], result["peak_memory_bytes"], result["version"]
 
 
-def run_tid3r(args: argparse.Namespace, views: int) -> tuple[float, int | None]:
+def run_tid3r(args: argparse.Namespace, load: int) -> tuple[float, int | None]:
     """Seconds and peak memory of tid3r, in a process of its own."""
-    command = [str(args.tid3r), "bench", "--model", args.model, "--views", str(views)]
+    command = [str(args.tid3r), "bench", "--model", args.model]
+    unit, _ = MODELS[args.model]
+    if unit:
+        command += [f"--{unit}", str(load)]
     command += ["--threads", str(args.threads), "--runs", "1", "--json", "--quiet"]
     if args.all_outputs:
         command += ["--gaussians", "--all-paths"]
@@ -207,33 +310,34 @@ def run_tid3r(args: argparse.Namespace, views: int) -> tuple[float, int | None]:
 
 def compare(args: argparse.Namespace) -> None:
     """Runs all rounds, and prints the table."""
-    original = {views: Side() for views in args.views}
-    tid3r = {views: Side() for views in args.views}
+    unit = MODELS[args.model][0] or "picture"
+    original = {load: Side() for load in args.loads}
+    tid3r = {load: Side() for load in args.loads}
     version = ""
     disturbance = 0.0
     for turn in range(args.rounds):
-        for views in args.views:
-            theirs, ours = original[views], tid3r[views]
+        for load in args.loads:
+            theirs, ours = original[load], tid3r[load]
             for original_now in [turn % 2 == 0, turn % 2 != 0]:
                 meter = OtherWork()
                 if original_now:
-                    seconds, peak, version = run_original(args, views)
+                    seconds, peak, version = run_original(args, load)
                     theirs.add(seconds, peak)
                 else:
-                    ours.add(*run_tid3r(args, views))
+                    ours.add(*run_tid3r(args, load))
                 disturbance = max(disturbance, meter.cores())
             both = f"original {theirs.seconds[-1]:.2f} s, tid3r {ours.seconds[-1]:.2f} s"
-            print(f"round {turn + 1}, {views} views: {both}", file=sys.stderr, flush=True)
+            print(f"round {turn + 1}, {load} {unit}: {both}", file=sys.stderr, flush=True)
 
     own_version = output_of([str(args.tid3r), "--version"]).strip()
-    outputs = "all outputs" if args.all_outputs else "points and confidences"
-    print(f"{args.model}, {SIDE}x{SIDE}, {args.threads} threads, median of {args.rounds}")
+    outputs = "all outputs" if args.all_outputs else "what is used"
+    print(f"{args.model}, {args.threads} threads, median of {args.rounds}")
     print(f"original: {version}, all outputs; {own_version}: {outputs}\n")
-    columns = ["views", "original", "tid3r", "original / tid3r", "original's memory", "tid3r's memory"]
+    columns = [f"{unit:>7}", "original", "tid3r", "original / tid3r", "original's memory", "tid3r's memory"]
     print("  ".join(columns))
-    for views in args.views:
-        theirs, ours = original[views], tid3r[views]
-        cells = [str(views), f"{theirs.median():.2f} s", f"{ours.median():.2f} s"]
+    for load in args.loads:
+        theirs, ours = original[load], tid3r[load]
+        cells = [str(load), f"{theirs.median():.2f} s", f"{ours.median():.2f} s"]
         cells += [f"{theirs.median() / ours.median():.2f}", theirs.peak(), ours.peak()]
         print("  ".join(cell.rjust(len(column)) for cell, column in zip(cells, columns)))
     if disturbance > 0.1:
@@ -247,27 +351,35 @@ def positive(text: str) -> int:
     return number
 
 
+def numbers(text: str) -> list[int]:
+    return [positive(number) for number in text.split(",")]
+
+
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--upstream", type=Path, required=True, help="checkout of facebookresearch/mvdust3r")
+    parser.add_argument("--upstream", type=Path, required=True, help="checkout of the original")
     parser.add_argument("--tid3r", type=Path, required=True, help="the program, built with --release")
-    parser.add_argument("--model", choices=["mvdust3r", "mvdust3r-plus"], default="mvdust3r")
-    parser.add_argument("--views", default="4,8", help="numbers of photos (default: %(default)s)")
+    parser.add_argument("--model", choices=MODELS, default="mvdust3r", metavar="NAME", help=", ".join(MODELS))
+    parser.add_argument("--load", type=numbers, dest="loads", metavar="N,..", help="photos (4,8) or boxes (100)")
     parser.add_argument("--threads", type=positive, default=2, help="threads of each side (default: %(default)s)")
     parser.add_argument("--rounds", type=positive, default=3, help="timed runs of each side (default: %(default)s)")
-    parser.add_argument("--all-outputs", action="store_true", help="let tid3r, too, compute Gaussians and all paths")
+    parser.add_argument("--all-outputs", action="store_true", help="let MV-DUSt3R compute Gaussians and all paths")
     parser.add_argument("--original-alone", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
 
-    least = REFERENCES if args.model == "mvdust3r-plus" else 2
-    try:
-        args.views = [int(views) for views in args.views.split(",")]
-    except ValueError:
-        parser.error(f"--views {args.views}: give numbers such as 4,8")
-    if min(args.views) < least:
-        parser.error(f"{args.model} needs {least} views or more")
-    if not (args.upstream / "dust3r" / "model.py").is_file():
-        parser.error(f"{args.upstream} is no checkout of facebookresearch/mvdust3r: it has no dust3r/model.py")
+    unit, original = MODELS[args.model]
+    loads = {"views": [4, 8], "boxes": [100], None: [1]}[unit]
+    args.loads = args.loads or loads
+    least = {"mvdust3r": 2, "mvdust3r-plus": REFERENCES}.get(args.model, 1)
+    if min(args.loads) < least:
+        parser.error(f"{args.model} needs {least} {unit} or more")
+    if unit is None and args.loads != loads:
+        parser.error(f"{args.model} has one picture at a time: leave --load out")
+    if args.all_outputs and original is not mvdust3r:
+        parser.error("--all-outputs is for MV-DUSt3R(+)")
+    repository, known_by = UPSTREAM[original]
+    if not (args.upstream / known_by).is_file():
+        parser.error(f"{args.upstream} is no checkout of {repository}: it has no {known_by}")
     args.upstream, args.tid3r = args.upstream.resolve(), args.tid3r.resolve()
     return args
 
@@ -278,7 +390,7 @@ def main() -> None:
         return compare(args)
     # The original prints as it is imported.
     with contextlib.redirect_stdout(sys.stderr):
-        result = time_original(args.upstream, args.model, args.views[0], args.threads)
+        result = time_original(args.upstream, args.model, args.loads[0], args.threads)
     print(json.dumps(result))
 
 

@@ -40,14 +40,11 @@ impl Bench {
 }
 
 fn print(rows: &[BenchRow]) -> Result<()> {
-    let heading = [
-        "views", "size", "threads", "seconds", "memory", "GFLOP/s", "of peak",
-    ];
+    let heading = ["work", "threads", "seconds", "memory", "GFLOP/s", "of peak"];
     let mut table = vec![heading.map(String::from).to_vec()];
     for row in rows {
         table.push(vec![
-            row.views.to_string(),
-            format!("{}x{}", row.size.width, row.size.height),
+            row.load.to_string(),
             row.threads.to_string(),
             format!("{:.2}", row.median_seconds),
             row.peak_memory_bytes.map_or("?".into(), readable_bytes),

@@ -172,7 +172,9 @@ impl Run {
             Ok((report, scene.has_run(Stage::Clean)))
         })?;
         let segmented = steps.run("segment", |progress| {
-            let report = self.segment.segment(&mut scene, force, &lock, progress)?;
+            let report = self
+                .segment
+                .segment(&mut scene, &places, force, &lock, progress)?;
             Ok((
                 report,
                 scene.has_run(Stage::Masks) || scene.has_run(Stage::Unify),

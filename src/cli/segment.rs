@@ -1,30 +1,61 @@
-use super::{SceneArgument, output, terminal::Terminal};
+use super::{output, terminal::Terminal};
 use anyhow::Result;
-use clap::Args;
-use serde_json::json;
+use clap::{Args, ValueEnum};
+use serde_json::{Value, json};
 use std::path::PathBuf;
 use tid3r::{
+    Error,
     edit::{self, EditList},
+    photos::photos_from_paths,
     progress::Progress,
     reconstruct,
     scene::{Role, Scene, Stage, WriteLock},
     segment::{
-        GraphParams, GraphSegmenter, LabelImages, MaskParams, SegmentReport, Segmentation,
-        Segmenter, UnifyParams,
+        GraphParams, GraphSegmenter, LabelImages, MaskParams, PhotoReport, SegmentReport,
+        Segmentation, Segmenter, UnifyParams,
+        mobilesamv2::{EncoderChoice, MobileSam, MobileSamParams, MobileSamWeights},
     },
 };
+use tid3r_weights_convert::Places;
 
-/// Cut photos into masks and unify them into 3D instances.
+/// Cut photos into masks and unify them into 3D instances; or cut photos alone into masks.
 ///
-/// Masks come from a folder of label images (--masks), or from a graph-based segmentation of colour and
-/// depth that needs no network. Writes contact_sheet.png, which shows every instance with its id, and
-/// top_down.png, a plan of the room.
+/// Masks come from MobileSAMv2 if its weights are here, else from a graph-based segmentation of colour
+/// and depth that needs no network, or from a folder of label images (--masks). Writes
+/// contact_sheet.png, which shows every instance with its id, and top_down.png, a plan of the room.
+///
+/// With --photo no scene is needed: for each photo, a folder NAME_masks with all masks in masks.json
+/// (COCO's format), labels.png (16 bits) and overlay.png.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    tid3r segment room\n  \
+    tid3r segment room --segmenter graph\n  \
+    tid3r segment --photo *.jpg -o masks\n\n\
+    Weights are found as `tid3r weights list` says.")]
 pub(super) struct Segment {
-    #[command(flatten)]
-    scene: SceneArgument,
+    /// The scene's folder
+    #[arg(value_name = "SCENE", required_unless_present = "photo")]
+    scene: Option<PathBuf>,
+    /// Cut these photos, or those in these folders, without a scene
+    #[arg(long, value_name = "PHOTOS", num_args = 1.., conflicts_with_all = ["scene", "masks", "no_unify", "force"])]
+    photo: Vec<PathBuf>,
+    /// The folder to write the masks of photos to [default: where tid3r runs]
+    #[arg(short, long, value_name = "FOLDER", conflicts_with = "scene")]
+    output: Option<PathBuf>,
+    /// Write a black and white PNG of each mask of the photos, too
+    #[arg(long, conflicts_with = "scene")]
+    each: bool,
     #[command(flatten)]
     options: Options,
+    /// Folder of the weights, a folder in it for each network, instead of where `tid3r weights path`
+    /// finds them
+    #[arg(
+        long,
+        alias = "weights-dir",
+        value_name = "FOLDER",
+        conflicts_with = "masks"
+    )]
+    weights: Option<PathBuf>,
     /// Do it again even if nothing has changed
     #[arg(long)]
     force: bool,
@@ -33,16 +64,29 @@ pub(super) struct Segment {
     json: bool,
 }
 
-/// Where masks come from, and what becomes of them.
+/// How a scene is cut and unified.
 #[derive(Debug, Args)]
 pub(super) struct Options {
+    /// What makes the masks [default: mobilesamv2 if its weights are here, else graph]
+    #[arg(long, value_enum, value_name = "NAME", conflicts_with = "masks")]
+    segmenter: Option<SegmenterChoice>,
     /// Take masks from label images: one PNG for each photo, called like it, a value for each mask,
     /// 0 for none; values need not agree between photos
     #[arg(long, value_name = "FOLDER")]
     masks: Option<PathBuf>,
     #[command(flatten)]
     mask_params: MaskParams,
-    #[command(flatten, next_help_heading = "Segmentation without label images")]
+    /// The image encoder [default: efficientvit-l2, or another one if only its weights are here]
+    #[arg(
+        long,
+        value_enum,
+        value_name = "NAME",
+        help_heading = "Segmentation by MobileSAMv2"
+    )]
+    encoder: Option<EncoderChoice>,
+    #[command(flatten, next_help_heading = "Segmentation by MobileSAMv2")]
+    sam: MobileSamParams,
+    #[command(flatten, next_help_heading = "Segmentation by graph")]
     graph: GraphParams,
     #[command(flatten, next_help_heading = "Unification")]
     unify: UnifyParams,
@@ -51,58 +95,26 @@ pub(super) struct Options {
     no_unify: bool,
 }
 
-impl Segment {
-    pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
-        let mut scene = Scene::open(&self.scene.scene)?;
-        let lock = WriteLock::acquire(scene.folder())?;
-        if scene.manifest().fresh(Stage::Clean).is_none() {
-            tracing::warn!(
-                "the scene has not been cleaned: cleaning it first, with default settings"
-            );
-            reconstruct::clean(&mut scene, &Default::default(), false, &lock, terminal)?;
-        }
-        let report = self
-            .options
-            .segment(&mut scene, self.force, &lock, terminal)?;
-        if self.json {
-            return output::json(&report);
-        }
-        output::line(format!(
-            "{} masks became {} instances; {} shows them",
-            report.masks,
-            report.instances,
-            scene.folder().join("contact_sheet.png").display(),
-        ))
-    }
+/// What makes masks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SegmenterChoice {
+    /// MobileSAMv2: objects by colour, with a network
+    Mobilesamv2,
+    /// Felzenszwalb's graph of pixels, by colour and depth, without a network
+    Graph,
 }
 
 impl Options {
-    /// Segments a cleaned scene, and draws its overviews.
+    /// Cuts the frames of a cleaned scene and unifies the masks; writes the overviews, edits included.
     pub(super) fn segment(
         self,
         scene: &mut Scene,
+        places: &Places,
         force: bool,
         lock: &WriteLock,
         progress: &dyn Progress,
     ) -> Result<SegmentReport> {
-        let (segmenter, description): (Box<dyn Segmenter>, _) = match self.masks {
-            Some(folder) => {
-                let images = LabelImages::open(&folder)?;
-                let names = scene
-                    .records(Role::Input)
-                    .iter()
-                    .map(|record| &*record.photo.name);
-                let content = images.content_hash(names)?;
-                (
-                    Box::new(images),
-                    json!({ "label_images": folder, "content": content }),
-                )
-            }
-            None => {
-                let description = json!({ "graph": self.graph });
-                (Box::new(GraphSegmenter(self.graph)), description)
-            }
-        };
+        let (segmenter, description) = self.segmenter(scene, places)?;
         let segmentation = Segmentation {
             segmenter: &*segmenter,
             description,
@@ -117,4 +129,119 @@ impl Options {
         edit::write_overviews(scene, list.edits(), lock)?;
         Ok(report)
     }
+
+    /// What makes the masks, and what they are taken for the same by.
+    fn segmenter(&self, scene: &Scene, places: &Places) -> Result<(Box<dyn Segmenter>, Value)> {
+        let records = scene.records(Role::Input);
+        let photos = || records.iter().map(|record| &record.photo);
+        if let Some(folder) = &self.masks {
+            let images = LabelImages::open(folder)?;
+            let content = images.content_hash(photos().map(|photo| &*photo.name))?;
+            let description = json!({ "label_images": folder, "content": content });
+            return Ok((Box::new(images), description));
+        }
+        let found = match self.segmenter {
+            Some(SegmenterChoice::Graph) => None,
+            Some(SegmenterChoice::Mobilesamv2) => {
+                Some(MobileSamWeights::find(places, self.encoder)?)
+            }
+            None if self.encoder.is_some() => Some(MobileSamWeights::find(places, self.encoder)?),
+            None => MobileSamWeights::find_if_there(places, None)?
+                .inspect_err(|missing| {
+                    tracing::warn!(
+                        "masks are made from colour and depth without a network, which tells \
+                         objects apart less well (--segmenter graph if that is meant): {missing}"
+                    );
+                })
+                .ok(),
+        };
+        if let Some(found) = found {
+            let sam = MobileSam::new(&found, self.sam.clone())?;
+            let description = json!({
+                "mobilesamv2": sam.description(),
+                "photos": MobileSam::content_hash(photos()),
+            });
+            return Ok((Box::new(sam), description));
+        }
+        let description = json!({ "graph": self.graph });
+        Ok((Box::new(GraphSegmenter(self.graph.clone())), description))
+    }
+}
+
+impl Segment {
+    pub(super) fn run(mut self, terminal: &Terminal) -> Result<()> {
+        let mut places = Places::of_environment();
+        if let Some(folder) = &self.weights {
+            places = places.with_models(folder);
+            // Whoever names weights wants them to be used.
+            let choice = &mut self.options.segmenter;
+            choice.get_or_insert(SegmenterChoice::Mobilesamv2);
+        }
+        let Some(folder) = &self.scene else {
+            return self.run_on_photos(&places, terminal);
+        };
+        let mut scene = Scene::open(folder)?;
+        let lock = WriteLock::acquire(scene.folder())?;
+        if scene.manifest().fresh(Stage::Clean).is_none() {
+            tracing::warn!(
+                "the scene has not been cleaned: cleaning it first, with default settings"
+            );
+            reconstruct::clean(&mut scene, &Default::default(), false, &lock, terminal)?;
+        }
+        let report = (self.options).segment(&mut scene, &places, self.force, &lock, terminal)?;
+        if self.json {
+            return output::json(&report);
+        }
+        output::line(format!(
+            "{} masks became {} instances; {} shows them",
+            report.masks,
+            report.instances,
+            scene.folder().join("contact_sheet.png").display(),
+        ))
+    }
+
+    fn run_on_photos(&self, places: &Places, terminal: &Terminal) -> Result<()> {
+        let Options { segmenter, sam, .. } = &self.options;
+        if *segmenter == Some(SegmenterChoice::Graph) {
+            return Err(Error::request(
+                "the graph-based segmentation needs depth, which a photo does not have",
+                "make a scene first, or leave --segmenter out",
+            )
+            .into());
+        }
+        let (photos, warnings) = photos_from_paths(&self.photo)?;
+        for warning in warnings {
+            tracing::warn!("{warning}");
+        }
+        let found = MobileSamWeights::find(places, self.options.encoder)?;
+        let sam = MobileSam::new(&found, sam.clone())?;
+        let parent = self.output.clone().unwrap_or_default();
+        let params = &self.options.mask_params;
+        let reports = sam.cut_photos(&photos, params, &parent, self.each, terminal)?;
+        if self.json {
+            return output::json(&reports);
+        }
+        print(&reports)
+    }
+}
+
+fn print(reports: &[PhotoReport]) -> Result<()> {
+    let heading = ["photo", "masks", "labels", "covered"];
+    let mut rows = vec![heading.map(String::from).to_vec()];
+    for report in reports {
+        rows.push(vec![
+            report.photo.clone(),
+            report.masks.to_string(),
+            report.labels.to_string(),
+            format!("{:.0} %", 100.0 * report.covered),
+        ]);
+    }
+    output::table(&rows)?;
+    for report in reports {
+        output::line(format!(
+            "{}: masks.json, labels.png, overlay.png",
+            report.folder.display()
+        ))?;
+    }
+    Ok(())
 }

@@ -20,6 +20,7 @@ use tid3r_weights_convert::{
     tid3r weights list\n  \
     tid3r weights convert MVD.pth -o ~/models/mvdust3r\n  \
     tid3r weights convert MVDp_s2.pth --dtype bf16 -o ~/models/mvdust3r-plus\n  \
+    tid3r weights convert ObjectAwareModel.pt -o ~/models/mobilesamv2-detector\n  \
     tid3r weights verify ~/models/mvdust3r\n  \
     tid3r weights synthesize mvdust3r --tiny -o tiny")]
 pub(super) struct Weights {
@@ -57,12 +58,13 @@ struct PathOf {
     json: bool,
 }
 
-/// Convert a published checkpoint (.pth) to the form that tid3r reads.
+/// Convert a published checkpoint (.pth, .pt, .safetensors) to the form that tid3r reads.
 ///
 /// Writes model.safetensors and config.json, with the source's hash and licence. The checkpoint is
-/// read as data: nothing in it is executed. It must have exactly the tensors of the network; memory
-/// use is small whatever its size. A .safetensors file with the same names is read too, for example to
-/// convert to another precision.
+/// read as data: nothing in it is executed. It must have exactly the tensors of the network, which is
+/// found out from them; memory use is small whatever its size. A checkpoint in several files is given by
+/// its index (.index.json). A .safetensors file of tid3r's is read too, for example to convert to another
+/// precision.
 #[derive(Debug, Args)]
 struct Convert {
     /// The checkpoint, or a network's name for that in the local cache of Hugging Face
@@ -99,7 +101,7 @@ struct Synthesize {
     network: String,
     #[command(flatten)]
     target: Target,
-    /// A network with all its parts, but of a few hundred kilobytes
+    /// A network with all its parts, but of a few megabytes at most
     #[arg(long)]
     tiny: bool,
     /// Where the numbers come from
@@ -215,12 +217,11 @@ impl List {
                 (None, Some(message)) => format!("no: {message}"),
                 (None, None) => "no".to_string(),
             };
-            let source = format!("https://huggingface.co/{}", network.repository);
             output::line(format!("{}  ({})", network.name, network.title))?;
             for (what, value) in [
                 (
                     "weights",
-                    format!("{source}: {}", network.files.join(", or ")),
+                    format!("{}: {}", network.source, network.files.join(", or ")),
                 ),
                 ("code", network.upstream.to_string()),
                 ("licence", network.licence.to_string()),
@@ -276,9 +277,9 @@ impl Convert {
             Some(network) => match places.published(network) {
                 Some(file) => file,
                 None => bail!(
-                    "{} is not in the local cache of Hugging Face; get it from https://huggingface.co/{}",
+                    "{} is not in the local cache of Hugging Face; get it from {} and give the file",
                     network.files[0],
-                    network.repository
+                    network.source
                 ),
             },
             None => self.source,

@@ -6,6 +6,7 @@ mod jpeg;
 mod known_lens;
 mod names;
 mod network_frame;
+mod opencv_resize;
 mod pillow_resize;
 
 pub use from_paths::{PHOTO_COUNT_LIMIT, photos_from_paths};
@@ -14,6 +15,7 @@ pub(crate) use names::{PHOTO_ENDINGS, natural_key};
 pub use network_frame::{
     FRAME_SIDE_LIMIT, NetworkFrame, PATCH, TRAINED_SIZE, network_frames, network_input,
 };
+pub use opencv_resize::opencv_resize;
 pub use pillow_resize::{PillowFilter, pillow_resize};
 
 use crate::{Error, Result, geometry::Intrinsics};

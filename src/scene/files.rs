@@ -110,6 +110,22 @@ pub fn write_mask_png(path: &Path, mask: &Map<bool>) -> Result<()> {
     )
 }
 
+/// Writes labels as a grey PNG of 16 bits; labels above 65535 become 0, none.
+///
+/// # Errors
+/// As [`write_atomically`].
+pub fn write_label_png(path: &Path, labels: &Map<u32>) -> Result<()> {
+    let values = labels.values().iter();
+    // The encoder takes 16-bit values in the machine's own order.
+    let bytes = values.flat_map(|&label| u16::try_from(label).unwrap_or(0).to_ne_bytes());
+    encode_png(
+        path,
+        &bytes.collect::<Vec<_>>(),
+        (labels.width(), labels.height()),
+        image::ExtendedColorType::L16,
+    )
+}
+
 fn encode_png(
     path: &Path,
     pixels: &[u8],

@@ -99,7 +99,7 @@ impl LabelImages {
 }
 
 impl Segmenter for LabelImages {
-    fn segment(&self, frame: &Frame) -> Result<Vec<Mask>> {
+    fn segment(&self, frame: &Frame, _: &mut dyn FnMut(f64)) -> Result<Vec<Mask>> {
         Ok(Mask::from_labels(&self.labels(frame)?))
     }
 }
@@ -143,7 +143,7 @@ mod tests {
             image.save(folder.path().join("a.png")).unwrap();
             let masks = LabelImages::open(folder.path())
                 .unwrap()
-                .segment(&frame)
+                .segment(&frame, &mut |_| ())
                 .unwrap();
             assert_eq!(masks.len(), 2);
             assert!(
@@ -162,7 +162,7 @@ mod tests {
         let images = LabelImages::open(folder.path()).unwrap();
         assert!(
             images
-                .segment(&frame)
+                .segment(&frame, &mut |_| ())
                 .unwrap_err()
                 .to_string()
                 .contains("add a.png")
@@ -170,13 +170,13 @@ mod tests {
         image::GrayImage::new(5, 5)
             .save(folder.path().join("a.png"))
             .unwrap();
-        let message = images.segment(&frame).unwrap_err().to_string();
+        let message = images.segment(&frame, &mut |_| ()).unwrap_err().to_string();
         assert!(
             message.contains("5x5") && message.contains("32x24"),
             "{message}"
         );
         std::fs::write(folder.path().join("a.png"), "no picture").unwrap();
-        let message = images.segment(&frame).unwrap_err().to_string();
+        let message = images.segment(&frame, &mut |_| ()).unwrap_err().to_string();
         assert!(message.contains("not a readable picture"), "{message}");
     }
 }

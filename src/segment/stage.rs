@@ -1,4 +1,8 @@
-use super::{Instances, MaskParams, Segmenter, UnifyParams, label_map, unify};
+use super::{
+    Instances, MaskParams, Pace, Segmenter, UnifyParams,
+    steps::{STEPS, Steps},
+    unify,
+};
 use crate::{
     Error, Map, Result,
     progress::Progress,
@@ -93,30 +97,39 @@ impl Segmentation<'_> {
         force: bool,
         progress: &dyn Progress,
     ) -> Result<Vec<Map<u32>>> {
-        progress.begin("cutting frames into masks", frames.len());
-        let labels = frames
-            .par_iter()
-            .map(|frame| {
-                let name = &frame.photo.name;
-                let path = scene.map_file(Stage::Masks, name);
-                let finished = MapFile::open(&path, "")
-                    .ok()
-                    .filter(|file| !force && file.recipe().as_deref() == Some(recipe))
-                    .and_then(|file| file.map::<u32>("map").ok())
-                    .filter(|map| map.same_size(&frame.depth));
-                let labels = if let Some(labels) = finished {
-                    labels
-                } else {
-                    let masks = self.segmenter.segment(frame)?;
-                    let (width, height) = frame.colour.dimensions();
-                    let labels = label_map(&masks, width, height, &self.masks);
-                    scene.write_map(Stage::Masks, name, &labels, recipe)?;
-                    labels
-                };
-                progress.advance(1);
-                Ok(labels)
-            })
-            .collect();
+        let finished = |frame: &Frame| {
+            let path = scene.map_file(Stage::Masks, &frame.photo.name);
+            MapFile::open(&path, "")
+                .ok()
+                .filter(|file| !force && file.recipe().as_deref() == Some(recipe))
+                .and_then(|file| file.map::<u32>("map").ok())
+                .filter(|map| map.same_size(&frame.depth))
+        };
+        let finished: Vec<Option<Map<u32>>> = frames.par_iter().map(finished).collect();
+        let unfinished = finished.iter().filter(|map| map.is_none()).count();
+        if unfinished == 0 {
+            return Ok(finished.into_iter().flatten().collect());
+        }
+        let pace = self.segmenter.begin(unfinished, progress)?;
+        progress.begin("cutting frames into masks", unfinished * STEPS);
+        let labels = |(frame, finished): (&Frame, Option<Map<u32>>)| {
+            if let Some(labels) = finished {
+                return Ok(labels);
+            }
+            let mut steps = Steps::new(progress);
+            let masks = self
+                .segmenter
+                .segment(frame, &mut |share| steps.reach(share))?;
+            let (width, height) = frame.colour.dimensions();
+            let labels = self.masks.labels(&masks, width, height).map;
+            scene.write_map(Stage::Masks, &frame.photo.name, &labels, recipe)?;
+            steps.reach(1.0);
+            Ok(labels)
+        };
+        let labels = match pace {
+            Pace::Together => (frames.par_iter().zip(finished)).map(labels).collect(),
+            Pace::OneByOne => frames.iter().zip(finished).map(labels).collect(),
+        };
         progress.end();
         labels
     }

@@ -85,7 +85,7 @@ fn a_segmentation() {
         place.run("clean scene");
         place
     };
-    assert_resumes(prepare, "segment scene", "scene", 8);
+    assert_resumes(prepare, "segment scene --segmenter graph", "scene", 8);
 }
 
 #[test]

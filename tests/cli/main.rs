@@ -19,6 +19,7 @@ mod reconstruct;
 mod recording;
 mod render;
 mod run;
+mod segment;
 mod stages;
 mod usage;
 mod weights;

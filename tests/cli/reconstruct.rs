@@ -190,7 +190,9 @@ fn networks_are_measured() {
         place.run("-q bench --model mvdust3r-plus --weights plus --views 4 --size 32x32 --runs 1");
     assert!(table.contains("GFLOP/s"), "{table}");
     let message = place.fail("-q bench --model mvdust3r --weights plus");
-    assert!(message.contains("another network"), "{message}");
-    place.misuse("bench --model mvdust3r --size 100x100");
+    assert!(message.contains("weights of MV-DUSt3R+"), "{message}");
+    let message = place.fail("-q bench --model mvdust3r --weights mvd --size 100x100");
+    assert!(message.contains("multiples of 16"), "{message}");
+    place.misuse("bench --model mvdust3r --size 100");
     place.misuse("bench --model unknown");
 }

@@ -92,7 +92,7 @@ fn a_scene_can_be_segmented_without_masks() {
     let place = Place::with_recording();
     place.run("import recording -o scene");
     place.run("clean scene");
-    let report = place.json("segment scene --json");
+    let report = place.json("segment scene --segmenter graph --json");
     let (masks, instances) = (&report["masks"], &report["instances"]);
     let instances = instances.as_u64().unwrap();
     assert!(

@@ -113,6 +113,16 @@ fn every_action_explains_itself() {
             assert!(help.contains(part), "{action}: {part} in {help}");
         }
     }
+    let help = good(&place, "synthesize --help", &[]);
+    for network in [
+        "mobilesamv2-detector",
+        "mobilesamv2-efficientvit-l2",
+        "mobilesamv2-tiny-vit",
+        "mobilesamv2-sam-vit-h",
+        "mobilesamv2-decoder",
+    ] {
+        assert!(help.contains(network), "{help}");
+    }
     for arguments in [
         "weights",
         "weights path",
@@ -165,6 +175,44 @@ fn a_checkpoint_is_converted_and_checked() {
     assert_eq!(report["dtype"], "f16");
     assert_eq!(report["provenance"], config["provenance"]);
     good(&place, "verify plus", &[]);
+}
+
+#[test]
+fn every_file_of_mobilesamv2_is_converted_and_checked() {
+    let place = Place::new();
+    let cases = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/cases/mobilesamv2");
+    let models = [("TID3R_MODELS", "models")];
+    for (file, network) in [
+        (
+            "object_aware_file/ObjectAwareModel.pt",
+            "mobilesamv2-detector",
+        ),
+        ("efficientvit_file/l2.pt", "mobilesamv2-efficientvit-l2"),
+        ("tiny_vit_file/mobile_sam.pt", "mobilesamv2-tiny-vit"),
+        ("sam_vit_file/sam_vit_h.pt", "mobilesamv2-sam-vit-h"),
+    ] {
+        let source = cases.join(file);
+        good(&place, &format!("convert {}", source.display()), &models);
+        let folder = format!("models/{network}");
+        assert_eq!(
+            good(&place, &format!("path {network}"), &models),
+            format!("{folder}\n")
+        );
+        let said = good(&place, &format!("verify {network}"), &models);
+        assert!(said.contains("all as they must be"), "{said}");
+        let config = place.read_json(&format!("{folder}/config.json"));
+        assert_eq!(config["model"], network);
+    }
+    // Not everything is in the file of a small decoder.
+    let file = cases.join("prompt_guided_decoder_file/Prompt_guided_Mask_Decoder.pt");
+    let convert = format!("convert {} -o decoder", file.display());
+    let (code, out, err) = weights(&place, &convert, &[]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.starts_with("decoder: mobilesamv2-decoder, "), "{out}");
+    assert!(err.contains("--heads"), "{err}");
+    good(&place, &format!("{convert} --force --heads 1,4"), &[]);
+    let config = place.read_json("decoder/config.json");
+    assert_eq!(config["mask_decoder"]["num_heads"], 4);
 }
 
 #[test]
@@ -243,6 +291,20 @@ fn what_is_nowhere_is_asked_for_by_name() {
     ] {
         assert!(message.contains(part), "{part}: {message}");
     }
+    let message = bad(&place, "path mobilesamv2-detector", &[]);
+    for part in [
+        "get ObjectAwareModel.pt from https://github.com/ChaoningZhang/MobileSAM#",
+        "Apache-2.0",
+        "AGPL-3.0",
+        "tid3r weights convert ObjectAwareModel.pt -o ",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let message = bad(&place, "path mobilesamv2-sam-vit-h", &[]);
+    assert!(
+        message.contains("https://huggingface.co/facebook/sam-vit-huge"),
+        "{message}"
+    );
     let message = bad(&place, "path mvdust3r", &[("TID3R_MODELS", "/models")]);
     assert!(message.contains("-o /models/mvdust3r"), "{message}");
     let message = bad(&place, "convert mvdust3r -o x", &[]);
@@ -305,7 +367,12 @@ fn places_are_searched_in_their_order() {
     assert_eq!(list[0]["name"], "mvdust3r");
     assert_eq!(list[0]["found"], true);
     assert_eq!(list[0]["bytes"], 4 * 547_989_522_u64);
+    assert_eq!(
+        list[0]["source"],
+        "https://huggingface.co/Zhenggang/MV-DUSt3R"
+    );
     assert_eq!(list[1]["found"], false);
+    assert_eq!(list.as_array().unwrap().len(), 7);
     let text = good(&place, "list", &[models]);
     for part in [
         "mvdust3r-plus",

@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 use tid3r_models::Weights;
-use tid3r_weights_convert::{ConvertOptions, WEIGHTS_FILE, convert, synth};
+use tid3r_weights_convert::{Checkpoint, ConvertOptions, WEIGHTS_FILE, convert, synth};
 
 /// One recorded case.
 pub(crate) struct Case {
@@ -144,6 +144,26 @@ impl Case {
                 )?)
             }
         }
+    }
+
+    /// The weights in the case's checkpoint under the names that they have there, with those that the
+    /// network has no use for.
+    pub(crate) fn unconverted_weights(&self) -> Result<Weights> {
+        let WeightsOf::File(name) = &self.file.weights else {
+            bail!("the weights are in no file");
+        };
+        let checkpoint = Checkpoint::open(&self.folder.join(name))?;
+        let mut values: BTreeMap<String, Vec<f32>> = BTreeMap::new();
+        for name in checkpoint.shapes().into_keys() {
+            let tensor = values.entry(name.to_string()).or_default();
+            // Counters of batches are no real numbers.
+            let _ = checkpoint.read(name, |part| {
+                tensor.extend_from_slice(part);
+                Ok(())
+            });
+        }
+        let make = move |name: &str, _: &[usize]| values.get(name).cloned().unwrap_or_default();
+        Ok(Weights::from_fn(make, &Device::Cpu))
     }
 
     /// Synthetic weights of the network whose configuration is `config.<part>`: of the same seed as all

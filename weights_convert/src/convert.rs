@@ -22,13 +22,14 @@ pub struct ConvertOptions {
 
 /// Converts the checkpoint at `source` to `model.safetensors` and `config.json` in `folder`.
 ///
-/// The source is a `.pth` of MV-DUSt3R's training (a dictionary with `model`, of which nothing else
-/// but `args.model` is looked at), a bare state dict, or a safetensors file with the same names.
-/// Its tensors must be exactly those of the network, except that
+/// The source is a file of `torch.save`, with a state dict or with the network's objects, or a
+/// safetensors file, or the index of several; which network it is of is found out from its tensors. They
+/// must be exactly those of the network, except that
 ///
-/// - tensors without effect (`num_batches_tracked`, `mask_token`) are left out,
-/// - `dec_blocks2` is a copy of `dec_blocks` where there is none at all,
-/// - heads that are absent as a whole are switched off in the configuration.
+/// - tensors without effect are left out, such as `num_batches_tracked`, and so is what else is in the
+///   file of a whole SAM of which the network is a part,
+/// - in MV-DUSt3R, `dec_blocks2` is a copy of `dec_blocks` where there is none at all, and heads that
+///   are absent as a whole are switched off in the configuration.
 ///
 /// Weights are written as they are read: memory use is a few megabytes whatever the size.
 ///
@@ -54,7 +55,7 @@ pub fn convert(
             let network = plan.config.network();
             Provenance {
                 source: file_name(source),
-                source_sha256: Some(hash::of_file(source, progress)?),
+                source_sha256: Some(hash::of_files(checkpoint.files(), progress)?),
                 seed: None,
                 upstream: network.upstream.to_owned(),
                 licence: network.licence.to_owned(),
@@ -80,10 +81,11 @@ pub fn convert(
             total: specs.len(),
         });
         let mut bytes = Vec::new();
-        safetensors_file::write(path, metadata, specs, |out, name, _| {
+        safetensors_file::write(path, metadata, specs, |out, name, spec| {
             let (_, original) = &plan.tensors[name];
             let mut done = 0;
             checkpoint.read(original, |values| {
+                let values = &values[..values.len().min(spec.elements() - done)];
                 bytes.clear();
                 let encoded = options.precision.encode(values, &mut bytes);
                 encoded.map_err(|index| {

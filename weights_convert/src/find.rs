@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use hf_hub::{Cache, CacheRepo};
 use serde::Serialize;
 
-use crate::{CONFIG_FILE, ConfigFile, Error, Network, Result, Step, WEIGHTS_FILE, hash};
+use crate::{CONFIG_FILE, ConfigFile, Error, Network, Result, Source, Step, WEIGHTS_FILE, hash};
 
 /// The environment variable that names the folder of all weights: each network's are in
 /// `<TID3R_MODELS>/<network>`.
@@ -154,7 +154,12 @@ impl Places {
     }
 
     fn repository(&self, network: &Network) -> Option<CacheRepo> {
-        Some(self.cache.as_ref()?.model(network.repository.to_owned()))
+        match network.source {
+            Source::HuggingFace(repository) => {
+                Some(self.cache.as_ref()?.model(repository.to_owned()))
+            }
+            Source::Page(_) => None,
+        }
     }
 
     /// Converted weights of `network` in the cache: beside the published files, or in a folder of the
@@ -230,9 +235,9 @@ impl Places {
                 let file = network.files[0];
                 let name = file.rsplit('/').next().unwrap_or(file);
                 format!(
-                    "get {file} from https://huggingface.co/{} ({}), then \
+                    "get {file} from {} ({}), then \
                      `tid3r weights convert {name} -o {target}`{export}",
-                    network.repository, network.licence
+                    network.source, network.licence
                 )
             }
         };

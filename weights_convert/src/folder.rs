@@ -23,7 +23,7 @@ const LONGEST: u64 = 1 << 20;
 pub struct Provenance {
     /// Name of the file that was converted, or `synthetic`.
     pub source: String,
-    /// SHA-256 of that file.
+    /// SHA-256 of that file; if it is the index of several, of all of them one after another.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source_sha256: Option<String>,
     /// Seed of synthetic weights.

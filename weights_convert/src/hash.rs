@@ -48,27 +48,41 @@ impl<W: Write> Write for Hashing<W> {
 ///
 /// If the file cannot be read.
 pub(crate) fn of_file(path: &Path, progress: &mut dyn FnMut(Step)) -> Result<String> {
-    let mut file = File::open(path).map_err(Error::io("read", path))?;
-    let length = file.metadata().map_err(Error::io("read", path))?.len();
-    progress(Step::Begin {
-        task: "hash, MB",
-        total: length.div_ceil(MEGABYTE as u64) as usize,
-    });
+    of_files([path], progress)
+}
+
+/// The SHA-256 of files, one after another as if they were one.
+///
+/// # Errors
+///
+/// If one cannot be read.
+pub(crate) fn of_files<'a>(
+    paths: impl IntoIterator<Item = &'a Path>,
+    progress: &mut dyn FnMut(Step),
+) -> Result<String> {
     let mut hash = Sha256::new();
     let mut buffer = vec![0; MEGABYTE];
-    loop {
-        match file.read(&mut buffer) {
-            Ok(0) => break,
-            Ok(count) => {
-                hash.update(&buffer[..count]);
-                // Short reads come at the end only.
-                progress(Step::Advance(1));
+    for path in paths {
+        let mut file = File::open(path).map_err(Error::io("read", path))?;
+        let length = file.metadata().map_err(Error::io("read", path))?.len();
+        progress(Step::Begin {
+            task: "hash, MB",
+            total: length.div_ceil(MEGABYTE as u64) as usize,
+        });
+        loop {
+            match file.read(&mut buffer) {
+                Ok(0) => break,
+                Ok(count) => {
+                    hash.update(&buffer[..count]);
+                    // Short reads come at the end only.
+                    progress(Step::Advance(1));
+                }
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(Error::io("read", path)(e)),
             }
-            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-            Err(e) => return Err(Error::io("read", path)(e)),
         }
+        progress(Step::End);
     }
-    progress(Step::End);
     Ok(hexadecimal(hash))
 }
 
@@ -103,5 +117,12 @@ mod tests {
         let path = folder.path().join("abc");
         std::fs::write(&path, "abc").unwrap();
         assert_eq!(of_file(&path, &mut |_| ()).unwrap(), ABC);
+        let parts = ["a", "bc"].map(|part| {
+            let path = folder.path().join(part);
+            std::fs::write(&path, part).unwrap();
+            path
+        });
+        let parts = parts.iter().map(|path| path.as_path());
+        assert_eq!(of_files(parts, &mut |_| ()).unwrap(), ABC);
     }
 }

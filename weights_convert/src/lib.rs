@@ -5,9 +5,9 @@
 //!
 //! What is here:
 //!
-//! - [`Checkpoint`]: files of `torch.save` and safetensors files, read as data, a piece at a time.
-//!   `pickle` reads pickles without executing them, `torch` finds tensors in what they say, `stored`
-//!   reads tensors out of files;
+//! - [`Checkpoint`]: files of `torch.save` and safetensors files, one or several, read as data, a piece
+//!   at a time. `pickle` reads pickles without executing them, `torch` finds tensors in what they say,
+//!   be it a state dict or a graph of modules, `stored` reads tensors out of files;
 //! - [`Network`]: the networks that tid3r knows, where their weights are published and under what
 //!   licence, and how their checkpoints are recognised. A new network begins there;
 //! - [`convert()`], [`synthesize()`], [`verify()`]: folders of weights, with `model.safetensors` and
@@ -28,6 +28,7 @@ mod folder;
 mod hash;
 mod manifest;
 mod networks;
+mod parts;
 mod pickle;
 mod precision;
 mod progress;
@@ -44,7 +45,7 @@ pub use error::{Error, Result};
 pub use find::{Found, Place, Places, find};
 pub use folder::{CONFIG_FILE, ConfigFile, Provenance, WEIGHTS_FILE, Written};
 pub use manifest::{Manifest, TensorSpec};
-pub use networks::{Config, Network};
+pub use networks::{Config, Network, Source};
 pub use precision::Precision;
 pub use progress::Step;
 pub use safetensors::Dtype;

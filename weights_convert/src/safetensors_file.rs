@@ -109,6 +109,7 @@ pub(crate) fn contents(path: &Path, file: &File, length: u64) -> Result<Contents
     Ok(Contents {
         tensors,
         constructor: None,
+        classes: None,
         metadata: header.metadata,
     })
 }

@@ -45,6 +45,31 @@ pub fn tensor(name: &str, shape: &[usize], seed: u64) -> Vec<f32> {
     Elements::of_weight(name, shape, seed).take(count(shape))
 }
 
+/// How some synthetic tensors of a network differ from what [`tensor`] says.
+///
+/// Numbers of about unit scale keep activations alive, but not what they say: through a network that
+/// is deep and without normalisation over its input, they come out nearly constant over an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Adjustment {
+    /// Tensors whose names end so are multiplied with a factor.
+    Times(&'static str, f32),
+    /// Tensors whose names end so have this value everywhere.
+    Constant(&'static str, f32),
+    /// Tensors whose names end so are 0, 1, 2, ..
+    Counting(&'static str),
+}
+
+/// As [`tensor`], adjusted.
+pub(crate) fn adjusted(
+    name: &str,
+    shape: &[usize],
+    seed: u64,
+    adjustments: &[Adjustment],
+) -> Vec<f32> {
+    let elements = Elements::of_weight(name, shape, seed).adjusted(name, adjustments);
+    elements.take(count(shape))
+}
+
 /// The synthetic input called `name`, row-major: numbers in [-1, 1).
 ///
 /// # Panics
@@ -78,23 +103,29 @@ pub fn write_checkpoint(manifest: &Manifest, seed: u64, path: &Path) -> Result<(
         ("source", "synthetic".to_owned()),
         ("seed", seed.to_string()),
     ]);
-    write(path, &metadata, manifest.tensors(), seed, |_| ()).map(drop)
+    write(path, &metadata, manifest.tensors(), seed, &[], |_| ()).map(drop)
 }
 
-/// Writes the synthetic values of `tensors` to `path`; the result is the file's SHA-256. Float
-/// tensors may be of half precision: the values are rounded then. `done` is told of bytes written.
+/// Writes the synthetic values of `tensors`, adjusted, to `path`; the result is the file's SHA-256.
+/// Float tensors may be of half precision: the values are rounded then. `done` is told of bytes
+/// written.
 pub(crate) fn write(
     path: &Path,
     metadata: &BTreeMap<&str, String>,
     tensors: &BTreeMap<String, TensorSpec>,
     seed: u64,
+    adjustments: &[Adjustment],
     mut done: impl FnMut(usize),
 ) -> Result<String> {
     let mut buffer = Vec::new();
     safetensors_file::write(path, metadata, tensors, |out, name, spec| {
         let written = match IntegerBuffer::named(name) {
             Some(buffer) if spec.dtype() == Dtype::I64 => buffer.write(out, spec.elements()),
-            _ => write_floats(out, name, spec, seed, &mut buffer, &mut done),
+            _ => {
+                let elements = Elements::of_weight(name, spec.shape(), seed);
+                let elements = elements.adjusted(name, adjustments);
+                write_floats(out, spec, &elements, &mut buffer, &mut done)
+            }
         };
         written.map_err(Error::io("write", path))
     })
@@ -102,14 +133,12 @@ pub(crate) fn write(
 
 fn write_floats(
     out: &mut dyn Write,
-    name: &str,
     spec: &TensorSpec,
-    seed: u64,
+    elements: &Elements,
     buffer: &mut Vec<u8>,
     done: &mut impl FnMut(usize),
 ) -> io::Result<()> {
     let size = spec.dtype().bitsize() / 8;
-    let elements = Elements::of_weight(name, spec.shape(), seed);
     for first in (0..spec.elements()).step_by(CHUNK) {
         buffer.resize(size * CHUNK.min(spec.elements() - first), 0);
         let chunks = buffer.par_chunks_exact_mut(size).enumerate();
@@ -144,6 +173,7 @@ fn leaf(name: &str) -> &str {
 struct Elements {
     start: u64,
     rule: Rule,
+    factor: f32,
 }
 
 /// How `v` becomes the value of an element.
@@ -153,6 +183,8 @@ enum Rule {
     Scaled(f32),
     AroundOne,
     AroundZero,
+    Constant(f32),
+    Counting,
 }
 
 impl Elements {
@@ -169,25 +201,44 @@ impl Elements {
         Self {
             start: fnv1a64(name) ^ seed,
             rule,
+            factor: 1.0,
         }
+    }
+
+    fn adjusted(mut self, name: &str, adjustments: &[Adjustment]) -> Self {
+        for adjustment in adjustments {
+            match *adjustment {
+                Adjustment::Times(end, factor) if name.ends_with(end) => self.factor *= factor,
+                Adjustment::Constant(end, value) if name.ends_with(end) => {
+                    self.rule = Rule::Constant(value);
+                }
+                Adjustment::Counting(end) if name.ends_with(end) => self.rule = Rule::Counting,
+                _ => {}
+            }
+        }
+        self
     }
 
     fn of_input(name: &str) -> Self {
         Self {
             start: fnv1a64(&format!("input:{name}")),
             rule: Rule::Itself,
+            factor: 1.0,
         }
     }
 
     fn get(&self, index: usize) -> f32 {
         let v = unit(self.start, index as u64);
-        match self.rule {
+        let value = match self.rule {
             Rule::Itself => v,
             Rule::Variance => 1.0 + 0.5 * v.abs(),
             Rule::Scaled(scale) => scale * v,
             Rule::AroundOne => 1.0 + 0.1 * v,
             Rule::AroundZero => 0.1 * v,
-        }
+            Rule::Constant(value) => value,
+            Rule::Counting => index as f32,
+        };
+        value * self.factor
     }
 
     fn take(&self, count: usize) -> Vec<f32> {

@@ -8,8 +8,9 @@ use crate::{Config, Error, Precision, Result, Step, Written, synth};
 /// Writes synthetic weights of a network with configuration `config` to `folder`, in the same form as
 /// converted ones.
 ///
-/// Values are those of [`synth::tensor`] for name, shape and `seed`, rounded to `precision`; the file
-/// is the same bit for bit wherever it is made. The network runs on it, and sees nothing.
+/// Values are those of [`Network::synthetic`](crate::Network::synthetic) for name, shape and `seed`,
+/// rounded to `precision`; the file is the same bit for bit wherever it is made. The network runs on it,
+/// and understands nothing.
 ///
 /// # Errors
 ///
@@ -26,11 +27,12 @@ pub fn synthesize(
     let shapes = config.tensors().map_err(|problem| {
         Error::request(problem, "use the configuration of a published network")
     })?;
+    let network = config.network();
     let provenance = Provenance {
         source: "synthetic".to_owned(),
         source_sha256: None,
         seed: Some(seed),
-        upstream: config.network().upstream.to_owned(),
+        upstream: network.upstream.to_owned(),
         licence: "none: made from a seed".to_owned(),
         converter: Provenance::CONVERTER.to_owned(),
     };
@@ -50,7 +52,7 @@ pub fn synthesize(
             total: total / MEGABYTE,
         });
         let mut done = 0;
-        synth::write(path, metadata, specs, seed, |bytes| {
+        synth::write(path, metadata, specs, seed, network.adjustments, |bytes| {
             progress(Step::Advance((done + bytes) / MEGABYTE - done / MEGABYTE));
             done += bytes;
         })

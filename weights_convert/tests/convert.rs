@@ -5,52 +5,15 @@
 mod common;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use common::{Tensor, safetensors, state_dict, torch_zip};
-use tid3r_weights_convert::{
-    Config, ConfigFile, ConvertOptions, Found, Manifest, Network, Precision, Written, convert,
-    synth, synthesize, verify,
+use common::{
+    Tensor, bytes_of, fixture, quietly, safetensors, state_dict, stored, tiny, torch_zip,
 };
-
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../tests/fixtures")
-        .join(name)
-}
-
-fn quietly(source: &Path, folder: &Path, options: &ConvertOptions) -> Result<Written, String> {
-    convert(source, folder, options, &mut |_| ()).map_err(|e| e.to_string())
-}
-
-fn stored(folder: &Path) -> BTreeMap<String, (Vec<usize>, Vec<u8>)> {
-    let bytes = std::fs::read(folder.join("model.safetensors")).unwrap();
-    let file = ::safetensors::SafeTensors::deserialize(&bytes).unwrap();
-    let tensor = |(name, view): (&str, ::safetensors::tensor::TensorView<'_>)| {
-        (
-            name.to_owned(),
-            (view.shape().to_vec(), view.data().to_vec()),
-        )
-    };
-    file.iter().map(tensor).collect()
-}
-
-fn bytes_of(values: &[f32]) -> Vec<u8> {
-    values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect()
-}
-
-/// The tensors of a tiny network with synthetic values.
-fn tiny(name: &str, seed: u64) -> Vec<Tensor> {
-    let shapes = Network::named(name).unwrap().tiny().tensors().unwrap();
-    let tensor = |(name, shape): (String, Vec<usize>)| {
-        let values = synth::tensor(&name, &shape, seed);
-        Tensor::f32(&name, &shape, &values)
-    };
-    shapes.into_iter().map(tensor).collect()
-}
+use tid3r_weights_convert::{
+    Config, ConfigFile, ConvertOptions, Found, Manifest, Network, Precision, Written, synth,
+    synthesize, verify,
+};
 
 const HEADS: ConvertOptions = ConvertOptions {
     precision: Precision::F32,

@@ -12,10 +12,14 @@ pub enum Activation {
     /// The exact GELU, `x Phi(x)` with the normal distribution function `Phi` (Hendrycks and Gimpel
     /// 2016): PyTorch's default, not the approximation by tanh.
     Gelu,
+    /// GELU's approximation by tanh, `x / 2 (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3)))`.
+    GeluTanh,
     /// `max(x, 0)`.
     Relu,
     /// `scale x` above 0, `scale alpha (exp(x) - 1)` below (Klambauer et al. 2017).
     Selu,
+    /// `x / (1 + exp(-x))`, also called swish.
+    Silu,
 }
 
 impl Activation {
@@ -42,8 +46,10 @@ impl Activation {
         match self {
             Self::Identity => Ok(x.clone()),
             Self::Gelu => x.gelu_erf(),
+            Self::GeluTanh => x.gelu(),
             Self::Relu => x.relu(),
             Self::Selu => x.elu(Self::SELU_ALPHA)? * Self::SELU_SCALE,
+            Self::Silu => x.silu(),
         }
     }
 }
@@ -72,13 +78,23 @@ mod tests {
         check(Activation::Gelu, gelu);
         let selu = [-1.520_166_5, -1.111_330_7, 0.0, 1.050_701, 2.101_402];
         check(Activation::Selu, selu);
+        let gelu_tanh = [-0.045_402_3, -0.158_808, 0.0, 0.841_192, 1.954_597_7];
+        check(Activation::GeluTanh, gelu_tanh);
+        let silu = [-0.238_405_84, -0.268_941_42, 0.0, 0.731_058_6, 1.761_594_2];
+        check(Activation::Silu, silu);
     }
 
     proptest! {
         #[test]
         fn as_by_candle(x in prop::collection::vec(-12.0_f32..12.0, 0..70)) {
             let x = Tensor::from_vec(x.clone(), x.len(), &Device::Cpu).unwrap();
-            for activation in [Activation::Gelu, Activation::Relu, Activation::Selu] {
+            for activation in [
+                Activation::Gelu,
+                Activation::GeluTanh,
+                Activation::Relu,
+                Activation::Selu,
+                Activation::Silu,
+            ] {
                 let want = activation.plain(&x).unwrap().to_vec1::<f32>().unwrap();
                 for isa in Isa::available() {
                     let got = cpu::activation(isa, activation, &x).unwrap();
@@ -99,12 +115,16 @@ mod tests {
                 let y = cpu::activation(isa, activation, &x).unwrap();
                 y.to_vec1::<f32>().unwrap()
             };
-            for y in [
-                of(Activation::Relu),
-                of(Activation::Selu),
-                of(Activation::Gelu),
+            for activation in [
+                Activation::Gelu,
+                Activation::GeluTanh,
+                Activation::Relu,
+                Activation::Selu,
+                Activation::Silu,
             ] {
-                assert!(y[1].is_nan(), "{isa}: {y:?}");
+                let y = of(activation);
+                assert!(y[1].is_nan(), "{isa}: {activation:?} {y:?}");
+                assert!(y[0] == f32::INFINITY || activation == Activation::Gelu);
             }
             assert_eq!(of(Activation::Relu)[2], 0.0);
             assert!((of(Activation::Selu)[2] + 1.758_099_3).abs() < 1e-6);

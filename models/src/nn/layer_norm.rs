@@ -14,10 +14,10 @@ use crate::{Parameter, Weights};
 #[derive(Clone, Debug)]
 pub struct LayerNorm {
     /// (channels).
-    weight: Parameter,
+    pub(super) weight: Parameter,
     /// (channels).
-    bias: Parameter,
-    eps: f64,
+    pub(super) bias: Parameter,
+    pub(super) eps: f64,
 }
 
 impl LayerNorm {

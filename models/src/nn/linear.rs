@@ -10,11 +10,11 @@ use crate::{Parameter, Weights};
 #[derive(Clone, Debug)]
 pub struct Linear {
     /// (outputs, inputs).
-    weight: Parameter,
+    pub(super) weight: Parameter,
     /// (outputs).
-    bias: Option<Parameter>,
-    inputs: usize,
-    outputs: usize,
+    pub(super) bias: Option<Parameter>,
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
 }
 
 impl Linear {

@@ -2,8 +2,8 @@
 //!
 //! A network calls these, and candle itself only to move numbers about (reshape, narrow, add,
 //! concatenate). What costs time is behind this module: [`Linear`], [`LayerNorm`], [`attention()`],
-//! [`Rotation::apply`], [`Conv2d`]. On CPUs these run on the kernels in [`cpu`], for f32; elsewhere, and
-//! as the oracle of tests, on candle's operations.
+//! [`window_attention()`], [`Rotation::apply`], [`Conv2d`], [`exchange()`], [`Upscaling`]. On CPUs these run
+//! on the kernels in [`cpu`], for f32; elsewhere, and as the oracle of tests, on candle's operations.
 //!
 //! Tokens are `(batch, tokens, channels)`; heads share the channels, head after head, so that
 //! nothing is transposed. Images are `(batch, height, width, channels)`.
@@ -11,18 +11,35 @@
 mod activation;
 mod attention;
 mod block;
+mod by_head;
 mod conv;
 pub mod cpu;
+mod exchange;
+mod grouped;
 mod layer_norm;
 mod linear;
+mod linear_attention;
 mod mlp;
+mod pool;
+mod resize;
 mod rope;
+mod upscaling;
+mod window_attention;
 
 pub use activation::Activation;
 pub use attention::{CrossAttention, Memory, SelfAttention, attention};
 pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
-pub use conv::{BatchNorm2d, Conv2d, Precision, convolve_in_turn};
+pub use conv::{
+    BatchNorm2d, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,
+};
+pub use exchange::{Told, exchange};
+pub use grouped::GroupedLinear;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
+pub use linear_attention::linear_attention;
 pub use mlp::Mlp;
+pub use pool::max_pool;
+pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};
 pub use rope::{Rope2d, Rotation};
+pub use upscaling::Upscaling;
+pub use window_attention::{ScoreBias, window_attention};

@@ -106,7 +106,7 @@ impl Default for GraphParams {
 pub struct GraphSegmenter(pub GraphParams);
 
 impl Segmenter for GraphSegmenter {
-    fn segment(&self, frame: &Frame) -> Result<Vec<Mask>> {
+    fn segment(&self, frame: &Frame, _: &mut dyn FnMut(f64)) -> Result<Vec<Mask>> {
         let Frame {
             colour,
             depth,

@@ -22,7 +22,7 @@
 //! - **Fragments.** A piece that one view cut off an object is too small a part of it for eta. When
 //!   nothing else merges, a group joins the one whose views see almost all of the piece as theirs. A
 //!   cup on a table stays a cup: most of the table's views that see it do not call it table.
-//! - **Masks that overlap, tiny masks**: see [`super::label_map`], which gives each pixel one mask
+//! - **Masks that overlap, tiny masks**: see [`super::MaskParams::labels`], which gives each pixel one mask
 //!   at most before unification.
 //! - **Contradictions that remain** are put to the vote pixel by pixel ([`UnifyParams::vote`]): a
 //!   pixel goes to the instance that most views, its own included, see there.
@@ -115,7 +115,7 @@ impl Instances {
 
 /// Unifies masks into instances.
 ///
-/// `labels[i]` gives each pixel of `frames[i]` its mask (0: none; see [`super::label_map`]), and
+/// `labels[i]` gives each pixel of `frames[i]` its mask (0: none; see [`super::MaskParams::labels`]), and
 /// `validity[i]` is false where the frame has no point or an anomalous one. Pixels without a point
 /// take no part in the merging, and keep the instance of their mask.
 pub fn unify(

@@ -5,27 +5,32 @@
 //! out from a checkpoint what configuration it is of.
 
 mod constructor;
+mod mobilesamv2;
 mod mvdust3r;
+mod plan;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::fmt;
 
-use serde::{Deserialize, Serialize};
-use tid3r_models::mvdust3r as network;
+use serde::{Deserialize, Serialize, Serializer};
+use tid3r_models::mobilesamv2::{decoder, detector, efficient_vit, tiny_vit, vit};
+use tid3r_models::mvdust3r as dust3r;
 
-use crate::error::excerpt;
-use crate::{Checkpoint, Error, Result};
+use crate::synth::{self, Adjustment};
+use crate::{Error, Result};
+
+pub(crate) use plan::{Hints, Plan, differences};
 
 /// A network that tid3r can run.
-#[derive(Debug, PartialEq, Eq, Serialize)]
+#[derive(Debug, Serialize)]
 pub struct Network {
     /// What it is called on the command line and as a folder.
     pub name: &'static str,
     /// What its authors call it.
     pub title: &'static str,
-    /// The model repository on Hugging Face in which its weights are published.
-    pub repository: &'static str,
-    /// Checkpoint files in that repository; the first is the one to take.
+    /// Where its weights are published.
+    pub source: Source,
+    /// Checkpoint files there; the first is the one to take.
     pub files: &'static [&'static str],
     /// Where its code is published.
     pub upstream: &'static str,
@@ -33,28 +38,54 @@ pub struct Network {
     pub licence: &'static str,
     /// How many numbers it has learned.
     pub parameters: u64,
+    #[serde(skip)]
+    released: fn() -> Config,
+    #[serde(skip)]
+    tiny: fn() -> Config,
+    /// What is done to synthetic weights so that the network does something.
+    #[serde(skip)]
+    pub(crate) adjustments: &'static [Adjustment],
 }
 
-const MV_DUST3R: Network = Network {
-    name: "mvdust3r",
-    title: "MV-DUSt3R",
-    repository: "Zhenggang/MV-DUSt3R",
-    files: &["checkpoints/MVD.pth"],
-    upstream: "https://github.com/facebookresearch/mvdust3r",
-    licence: "CC BY-NC 4.0, non-commercial use only",
-    parameters: 547_989_522,
-};
+impl PartialEq for Network {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
 
-/// Stage 1 was trained on 8 views; stage 2 is stage 1 finetuned on 4 to 12.
-const MV_DUST3R_PLUS: Network = Network {
-    name: "mvdust3r-plus",
-    title: "MV-DUSt3R+",
-    files: &["checkpoints/MVDp_s2.pth", "checkpoints/MVDp_s1.pth"],
-    parameters: 661_429_266,
-    ..MV_DUST3R
-};
+/// Where weights are published; in JSON and in messages, its address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// A model repository on Hugging Face, of which this machine may have a copy.
+    HuggingFace(&'static str),
+    /// A page that leads to them.
+    Page(&'static str),
+}
 
-static NETWORKS: [Network; 2] = [MV_DUST3R, MV_DUST3R_PLUS];
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::HuggingFace(repository) => write!(f, "https://huggingface.co/{repository}"),
+            Self::Page(address) => f.write_str(address),
+        }
+    }
+}
+
+impl Serialize for Source {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+static NETWORKS: [Network; 7] = [
+    mvdust3r::MV_DUST3R,
+    mvdust3r::MV_DUST3R_PLUS,
+    mobilesamv2::DETECTOR,
+    mobilesamv2::EFFICIENT_VIT,
+    mobilesamv2::TINY_VIT,
+    mobilesamv2::VIT,
+    mobilesamv2::DECODER,
+];
 
 impl Network {
     /// Every network, in the order in which they are listed.
@@ -83,19 +114,25 @@ impl Network {
         4 * self.parameters
     }
 
+    /// The synthetic tensor called `name`, row-major: as [`synth::tensor`], but that some have other
+    /// values, without which a deep network's result is the same whatever it sees.
+    ///
+    /// # Panics
+    ///
+    /// If the number of elements overflows a `usize`.
+    pub fn synthetic(&self, name: &str, shape: &[usize], seed: u64) -> Vec<f32> {
+        synth::adjusted(name, shape, seed, self.adjustments)
+    }
+
     /// The configuration of the published weights.
     pub fn released(&self) -> Config {
-        Config::MvDust3r(match self.name {
-            "mvdust3r" => network::Config::mv_dust3r(),
-            _ => network::Config::mv_dust3r_plus(),
-        })
+        (self.released)()
     }
 
     /// A configuration with all parts of the published one, but so small that it runs in a moment:
     /// for tests of what is around the network.
     pub fn tiny(&self) -> Config {
-        let Config::MvDust3r(released) = self.released();
-        Config::MvDust3r(mvdust3r::tiny(&released))
+        (self.tiny)()
     }
 }
 
@@ -106,122 +143,55 @@ impl Network {
 pub enum Config {
     /// MV-DUSt3R or MV-DUSt3R+.
     #[serde(rename = "mvdust3r")]
-    MvDust3r(network::Config),
+    MvDust3r(dust3r::Config),
+    /// The detector of MobileSAMv2.
+    #[serde(rename = "mobilesamv2-detector")]
+    Detector(detector::Config),
+    /// An image encoder for MobileSAMv2's decoder: EfficientViT-SAM.
+    #[serde(rename = "mobilesamv2-efficientvit-l2")]
+    EfficientVit(efficient_vit::Config),
+    /// An image encoder for MobileSAMv2's decoder: that of MobileSAM.
+    #[serde(rename = "mobilesamv2-tiny-vit")]
+    TinyVit(tiny_vit::Config),
+    /// An image encoder for MobileSAMv2's decoder: that of SAM.
+    #[serde(rename = "mobilesamv2-sam-vit-h")]
+    Vit(vit::Config),
+    /// The prompt encoder and mask decoder of MobileSAMv2.
+    #[serde(rename = "mobilesamv2-decoder")]
+    Decoder(decoder::Config),
 }
 
 impl Config {
     /// Names and shapes of the tensors of the network: exactly those that it uses.
     ///
     /// A published checkpoint has some more, without effect: counters of batches, a token for
-    /// masked training. They are left out of converted files.
+    /// masked training, a classifier. They are left out of converted files.
     ///
     /// # Errors
     ///
     /// If no network has this configuration.
     pub fn tensors(&self) -> Result<BTreeMap<String, Vec<usize>>, String> {
-        match self {
-            Self::MvDust3r(config) => mvdust3r::tensors(config),
-        }
+        let tensors = match self {
+            Self::MvDust3r(config) => return mvdust3r::tensors(config),
+            Self::Detector(config) => detector::Detector::tensors(config),
+            Self::EfficientVit(config) => efficient_vit::EfficientVit::tensors(config),
+            Self::TinyVit(config) => tiny_vit::TinyVit::tensors(config),
+            Self::Vit(config) => vit::Vit::tensors(config),
+            Self::Decoder(config) => decoder::Decoder::tensors(config),
+        };
+        tensors.map_err(|e| e.to_string())
     }
 
     /// Which network it is of.
     pub fn network(&self) -> &'static Network {
         match self {
-            Self::MvDust3r(config) if config.m_ref_flag => &NETWORKS[1],
-            Self::MvDust3r(_) => &NETWORKS[0],
+            Self::MvDust3r(config) if config.m_ref_flag => &mvdust3r::MV_DUST3R_PLUS,
+            Self::MvDust3r(_) => &mvdust3r::MV_DUST3R,
+            Self::Detector(_) => &mobilesamv2::DETECTOR,
+            Self::EfficientVit(_) => &mobilesamv2::EFFICIENT_VIT,
+            Self::TinyVit(_) => &mobilesamv2::TINY_VIT,
+            Self::Vit(_) => &mobilesamv2::VIT,
+            Self::Decoder(_) => &mobilesamv2::DECODER,
         }
     }
-}
-
-/// What is known about a checkpoint from elsewhere.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Hints<'a> {
-    /// Attention heads of the encoder and of the decoder, which the shapes of tensors do not tell.
-    pub(crate) heads: Option<(usize, usize)>,
-    /// The configuration, if another file says it.
-    pub(crate) config: Option<&'a Config>,
-}
-
-/// How a checkpoint becomes the weights of a network.
-#[derive(Debug)]
-pub(crate) struct Plan {
-    pub(crate) config: Config,
-    /// For each tensor of the network, its shape and its name in the checkpoint.
-    pub(crate) tensors: BTreeMap<String, (Vec<usize>, String)>,
-    /// What a person should know about the result.
-    pub(crate) notes: Vec<String>,
-}
-
-impl Plan {
-    /// Finds out which network a checkpoint is of, and whether it is complete.
-    pub(crate) fn of(checkpoint: &Checkpoint, hints: Hints<'_>) -> Result<Self> {
-        if mvdust3r::recognise(checkpoint) {
-            return mvdust3r::plan(checkpoint, hints);
-        }
-        let shapes = checkpoint.shapes();
-        let some: Vec<_> = shapes
-            .keys()
-            .take(3)
-            .map(|name| format!("`{}`", excerpt(name)))
-            .collect();
-        let known: Vec<_> = Network::all().iter().map(|network| network.title).collect();
-        Err(Error::file(
-            checkpoint.path(),
-            format!(
-                "its tensors ({}, ..) are of no network that is known",
-                some.join(", ")
-            ),
-            format!("the networks are {}", known.join(", ")),
-        ))
-    }
-}
-
-/// How the shapes of `found` differ from those that are `wanted`; nothing if they are as they must be.
-pub(crate) fn differences(
-    wanted: &BTreeMap<String, Vec<usize>>,
-    found: &BTreeMap<&str, &[usize]>,
-) -> Vec<String> {
-    let missing = wanted
-        .keys()
-        .filter(|name| !found.contains_key(name.as_str()));
-    let unexpected = found.keys().filter(|name| !wanted.contains_key(**name));
-    let misshapen = wanted.iter().filter_map(|(name, shape)| {
-        let found = found.get(name.as_str()).filter(|found| **found != shape)?;
-        Some(format!("`{name}` {found:?} instead of {shape:?}"))
-    });
-    let quoted = |name: &str| format!("`{}`", excerpt(name));
-    [
-        (
-            "missing",
-            missing.map(|name| quoted(name)).collect::<Vec<_>>(),
-        ),
-        ("unexpected", unexpected.map(|name| quoted(name)).collect()),
-        ("of another shape", misshapen.collect()),
-    ]
-    .into_iter()
-    .filter(|(_, tensors)| !tensors.is_empty())
-    .map(|(what, tensors)| format!("{what}: {}", listed(&tensors)))
-    .collect()
-}
-
-/// The first few of `things`, and how many more there are.
-pub(crate) fn listed(things: &[String]) -> String {
-    const MOST: usize = 6;
-    let mut text = things[..things.len().min(MOST)].join(", ");
-    if things.len() > MOST {
-        text.push_str(&format!(" and {} more", things.len() - MOST));
-    }
-    text
-}
-
-/// An error about a checkpoint that is of a known network but not as it must be.
-pub(crate) fn unfit(path: &Path, network: &Network, problem: &str) -> Error {
-    Error::file(
-        path,
-        format!("not a checkpoint of {}: {problem}", network.title),
-        format!(
-            "get {} from https://huggingface.co/{}",
-            network.files[0], network.repository
-        ),
-    )
 }

@@ -9,8 +9,33 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::{Map, Value, json};
 use tid3r_models::mvdust3r::{Config, MvDust3r};
 
-use super::{Hints, Plan, constructor, differences, unfit};
+use super::plan::{Hints, Plan, differences, unfit};
+use super::{Network, Source, constructor};
 use crate::{Checkpoint, Error, Result};
+
+pub(super) const MV_DUST3R: Network = Network {
+    name: "mvdust3r",
+    title: "MV-DUSt3R",
+    source: Source::HuggingFace("Zhenggang/MV-DUSt3R"),
+    files: &["checkpoints/MVD.pth"],
+    upstream: "https://github.com/facebookresearch/mvdust3r",
+    licence: "CC BY-NC 4.0, non-commercial use only",
+    parameters: 547_989_522,
+    released: || super::Config::MvDust3r(Config::mv_dust3r()),
+    tiny: || tiny(Config::mv_dust3r()),
+    adjustments: &[],
+};
+
+/// Stage 1 was trained on 8 views; stage 2 is stage 1 finetuned on 4 to 12.
+pub(super) const MV_DUST3R_PLUS: Network = Network {
+    name: "mvdust3r-plus",
+    title: "MV-DUSt3R+",
+    files: &["checkpoints/MVDp_s2.pth", "checkpoints/MVDp_s1.pth"],
+    parameters: 661_429_266,
+    released: || super::Config::MvDust3r(Config::mv_dust3r_plus()),
+    tiny: || tiny(Config::mv_dust3r_plus()),
+    ..MV_DUST3R
+};
 
 /// Channels of an attention head in every published network of this family.
 const HEAD_CHANNELS: usize = 64;
@@ -20,8 +45,8 @@ const DEEPEST: usize = 1 << 10;
 const REFERENCES: usize = 4;
 
 /// Widths and depths with which the network runs in a moment.
-pub(super) fn tiny(released: &Config) -> Config {
-    Config {
+fn tiny(released: Config) -> super::Config {
+    super::Config::MvDust3r(Config {
         enc_embed_dim: 32,
         enc_depth: 2,
         enc_num_heads: 2,
@@ -30,8 +55,8 @@ pub(super) fn tiny(released: &Config) -> Config {
         dec_num_heads: 2,
         skip_dim: 8,
         gs_mlp_dim: 16,
-        ..released.clone()
-    }
+        ..released
+    })
 }
 
 /// Whether the tensors of a checkpoint have the names of this family.
@@ -76,7 +101,7 @@ pub(super) fn plan(checkpoint: &Checkpoint, hints: Hints<'_>) -> Result<Plan> {
 
     let config = match hints.config {
         Some(super::Config::MvDust3r(config)) => config.clone(),
-        None => configuration(checkpoint, &found, hints, &mut notes)?,
+        _ => configuration(checkpoint, &found, hints, &mut notes)?,
     };
     let network = super::Config::MvDust3r(config.clone()).network();
     let refuse = |problem: &str| unfit(checkpoint.path(), network, problem);
@@ -119,7 +144,7 @@ fn configuration(
     notes: &mut Vec<String>,
 ) -> Result<Config> {
     let path = checkpoint.path();
-    let refuse = |problem: String| unfit(path, &super::MV_DUST3R, &problem);
+    let refuse = |problem: String| unfit(path, &MV_DUST3R, &problem);
     let from_shapes = sizes(shapes).map_err(refuse)?;
     let called = match checkpoint.constructor() {
         None => Map::new(),

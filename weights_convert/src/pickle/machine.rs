@@ -59,6 +59,7 @@ mod op {
     pub(super) const EMPTY_SET: u8 = 0x8f;
     pub(super) const ADDITEMS: u8 = 0x90;
     pub(super) const FROZENSET: u8 = 0x91;
+    pub(super) const NEWOBJ_EX: u8 = 0x92;
     pub(super) const STACK_GLOBAL: u8 = 0x93;
     pub(super) const MEMOIZE: u8 = 0x94;
     pub(super) const FRAME: u8 = 0x95;
@@ -199,6 +200,11 @@ impl<'a> Machine<'a> {
             }
             op::REDUCE | op::NEWOBJ => {
                 let (arguments, callable) = (self.pop()?, self.pop()?);
+                self.object(callable, arguments)
+            }
+            op::NEWOBJ_EX => {
+                // Arguments by name are no concern of anything that is read.
+                let (_named, arguments, callable) = (self.pop()?, self.pop()?, self.pop()?);
                 self.object(callable, arguments)
             }
             op::OBJ => {

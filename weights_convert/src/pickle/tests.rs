@@ -57,6 +57,31 @@ fn protocol_4_says_the_same_in_other_words() {
 }
 
 #[test]
+fn what_is_referred_to_twice_is_the_same_thing() {
+    // An object that is kept before it has a state, as pickles do, in both items of a list.
+    let bytes =
+        b"\x80\x02]q\x00(cnn\nModule\nq\x01)\x81q\x02}q\x03X\x01\x00\x00\x00nK\x07sbh\x02e.";
+    let pickle = Pickle::read(bytes).unwrap();
+    let Node::List(parts) = pickle.get(pickle.root()) else {
+        panic!("no list");
+    };
+    assert_eq!(parts[0], parts[1]);
+    let state = pickle.state(parts[1]).unwrap();
+    assert!(pickle.entry(state, "n").is_some());
+}
+
+#[test]
+fn objects_with_arguments_by_name() {
+    // pickle.dumps of an object whose __getnewargs_ex__ is ((1,), {'a': 2}), protocol 4, with a state.
+    let bytes = b"\x80\x04\x8c\x01m\x8c\x01C\x93K\x01\x85}\x8c\x01aK\x02s\x92}\x8c\x01bK\x03sb.";
+    let pickle = Pickle::read(bytes).unwrap();
+    let (module, name, arguments) = pickle.call(pickle.root()).unwrap();
+    assert_eq!((module, name, arguments.len()), ("m", "C", 1));
+    let state = pickle.state(pickle.root()).unwrap();
+    assert!(pickle.entry(state, "b").is_some());
+}
+
+#[test]
 fn integers_of_any_length() {
     for (bytes, value) in [
         (&b"\x80\x02\x8a\x00."[..], 0),

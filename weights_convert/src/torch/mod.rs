@@ -3,14 +3,16 @@
 //! `NAME/data/KEY` is a storage of numbers.
 
 mod archive;
-mod state_dict;
+mod found;
+mod modules;
+mod tensor;
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
 
 use archive::Archive;
-use state_dict::View;
+use tensor::View;
 
 use crate::checkpoint::Contents;
 use crate::error::excerpt;
@@ -20,7 +22,8 @@ use crate::{Error, Result};
 
 pub(crate) use archive::starts_as_zip;
 
-const REMEDY: &str = "a checkpoint must be a file of torch.save that holds a state dict";
+const REMEDY: &str =
+    "a checkpoint must be a file of torch.save that holds a state dict or a network's modules";
 
 /// Finds the tensors of the archive in `file`, whose name is `path` and whose size `length` bytes.
 ///
@@ -30,11 +33,10 @@ pub(crate) fn contents(path: &Path, file: &File, length: u64) -> Result<Contents
     let bytes = archive.pickle()?;
     let refuse = |problem: String| Error::file(path, problem, REMEDY);
     let pickle = Pickle::read(&bytes).map_err(|e| refuse(e.to_string()))?;
-    let found = state_dict::find(&pickle).map_err(refuse)?;
-    drop(pickle);
+    let found = found::find(&pickle).map_err(refuse)?;
 
     let mut tensors = BTreeMap::new();
-    for (name, view) in found.tensors {
+    for (name, view) in found.tensors.0 {
         let tensor = locate(&mut archive, &view)?.map_err(|problem| {
             let remedy = "it is damaged: get it again";
             Error::file(
@@ -47,17 +49,18 @@ pub(crate) fn contents(path: &Path, file: &File, length: u64) -> Result<Contents
     }
     Ok(Contents {
         tensors,
-        constructor: found.constructor,
+        constructor: found.constructor.map(str::to_owned),
+        classes: found.classes,
         metadata: BTreeMap::new(),
     })
 }
 
 /// The numbers of `view` in the file, or what is wrong with them.
-fn locate(archive: &mut Archive<'_>, view: &View) -> Result<Result<StoredTensor, String>> {
-    let Some(storage) = archive.storage(&view.key)? else {
+fn locate(archive: &mut Archive<'_>, view: &View<'_>) -> Result<Result<StoredTensor, String>> {
+    let Some(storage) = archive.storage(view.key)? else {
         return Ok(Err(format!(
             "its storage `{}` is missing",
-            excerpt(&view.key)
+            excerpt(view.key)
         )));
     };
     Ok((|| {

@@ -1,10 +1,14 @@
-//! Checkpoint files made in memory: as honest writers make them, and otherwise.
+//! Checkpoint files made in memory, as honest writers make them, and otherwise; and what is made of
+//! them.
 
 #![allow(dead_code, reason = "each test file uses some of it")]
 
+use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
 
 use half::{bf16, f16};
+use tid3r_weights_convert::{ConvertOptions, Network, Written, convert};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
@@ -128,6 +132,33 @@ pub(crate) mod pickle {
         [&b"}("[..], &entries.collect::<Vec<_>>().concat(), b"u"].concat()
     }
 
+    /// An object of a class without arguments, with a state.
+    pub(crate) fn object(class: (&str, &str), state: &[u8]) -> Vec<u8> {
+        [&global(class.0, class.1)[..], b")\x81", state, b"b"].concat()
+    }
+
+    /// A module of PyTorch with these parameters, buffers, modules and further attributes.
+    pub(crate) fn module(
+        parameters: &[(&str, Vec<u8>)],
+        buffers: &[(&str, Vec<u8>)],
+        modules: &[(&str, Vec<u8>)],
+        attributes: &[(&str, Vec<u8>)],
+    ) -> Vec<u8> {
+        let mut state = vec![
+            ("training", b"\x88".to_vec()),
+            ("_parameters", dictionary(parameters)),
+            ("_buffers", dictionary(buffers)),
+            ("_modules", dictionary(modules)),
+        ];
+        state.extend(attributes.iter().cloned());
+        object(("somewhere.or.other", "Module"), &dictionary(&state))
+    }
+
+    /// A value that is kept under a number, and the instruction that recalls it.
+    pub(crate) fn kept(value: &[u8], number: u8) -> (Vec<u8>, Vec<u8>) {
+        ([value, &[b'q', number]].concat(), vec![b'h', number])
+    }
+
     pub(crate) fn whole(value: &[u8]) -> Vec<u8> {
         [&b"\x80\x02"[..], value, b"."].concat()
     }
@@ -159,6 +190,15 @@ pub(crate) fn rebuild(tensor: &Tensor, key: &str) -> Vec<u8> {
         b"R".to_vec(),
     ]
     .concat()
+}
+
+/// The call that makes a parameter of storage `key`.
+pub(crate) fn parameter(tensor: &Tensor, key: &str) -> Vec<u8> {
+    use pickle::{global, tuple};
+    let hooks = [global("collections", "OrderedDict"), b")R".to_vec()].concat();
+    let arguments = tuple(&[rebuild(tensor, key), b"\x88".to_vec(), hooks]);
+    let function = global("torch._utils", "_rebuild_parameter");
+    [function, arguments, b"R".to_vec()].concat()
 }
 
 /// The pickle of a state dict, tensor `i` being a view of storage `i`.
@@ -211,4 +251,48 @@ pub(crate) fn safetensors(tensors: &[Tensor]) -> Vec<u8> {
     }
     let header = serde_json::to_vec(&header).unwrap();
     [&(header.len() as u64).to_le_bytes()[..], &header, &data].concat()
+}
+
+pub(crate) fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../tests/fixtures")
+        .join(name)
+}
+
+pub(crate) fn quietly(
+    source: &Path,
+    folder: &Path,
+    options: &ConvertOptions,
+) -> Result<Written, String> {
+    convert(source, folder, options, &mut |_| ()).map_err(|e| e.to_string())
+}
+
+pub(crate) fn stored(folder: &Path) -> BTreeMap<String, (Vec<usize>, Vec<u8>)> {
+    let bytes = std::fs::read(folder.join("model.safetensors")).unwrap();
+    let file = ::safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let tensor = |(name, view): (&str, ::safetensors::tensor::TensorView<'_>)| {
+        (
+            name.to_owned(),
+            (view.shape().to_vec(), view.data().to_vec()),
+        )
+    };
+    file.iter().map(tensor).collect()
+}
+
+pub(crate) fn bytes_of(values: &[f32]) -> Vec<u8> {
+    values
+        .iter()
+        .flat_map(|value| value.to_le_bytes())
+        .collect()
+}
+
+/// The tensors of a tiny network with synthetic values.
+pub(crate) fn tiny(name: &str, seed: u64) -> Vec<Tensor> {
+    let network = Network::named(name).unwrap();
+    let shapes = network.tiny().tensors().unwrap();
+    let tensor = |(name, shape): (String, Vec<usize>)| {
+        let values = network.synthetic(&name, &shape, seed);
+        Tensor::f32(&name, &shape, &values)
+    };
+    shapes.into_iter().map(tensor).collect()
 }

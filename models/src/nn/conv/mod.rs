@@ -1,19 +1,25 @@
 //! Convolutions.
 
 mod batch_norm;
+mod depthwise;
+mod parameters;
 #[cfg(test)]
 mod tests;
+mod transpose;
 
 use std::sync::{Arc, OnceLock};
 
 use candle_core::{Device, Error, Result, Tensor, bail};
 
-use super::Activation;
-use super::cpu::conv::{Convolution, Epilogue, Filter, Images, Stage, in_turn};
+use super::cpu::conv::{Convolution, Epilogue, Filter, Images, Part, Pixels, Stage, in_turn};
 use super::cpu::{HostTensor, Isa};
-use crate::{Parameter, Weights};
+use super::{Activation, upsample_nearest};
+use crate::Weights;
+use parameters::Parameters;
 
 pub use batch_norm::BatchNorm2d;
+pub use depthwise::DepthwiseConv2d;
+pub use transpose::ConvTranspose2d;
 
 /// How exact a convolution on a CPU is.
 ///
@@ -28,28 +34,34 @@ pub enum Precision {
     Fast,
 }
 
-/// A 2D convolution with an odd square kernel, stride 1 and zeros around the image, so that sizes
-/// stay. Images are (batch, height, width, channels): channels last.
+/// A 2D convolution with an odd square kernel and `kernel / 2` zeros around the image. With stride
+/// `s`, `height` becomes `height / s`, rounded up, and `width` likewise; without, sizes stay. Images are
+/// (batch, height, width, channels): channels last.
 ///
 /// On a CPU, weights are laid out for the kernel that suits them when [`Self::forward`] is first
 /// called, and shared by clones. Beside the weights as they were read, that takes as much memory as
-/// they do, or, where Winograd's algorithm is used (3x3 and 5x5 kernels, at least 32 channels),
-/// times 16/9 (exact) or 4 (fast) for 3x3, times 36/25 or 4 for 5x5.
+/// they do, or, where Winograd's algorithm is used (3x3 and 5x5 kernels of stride 1, at least 32
+/// channels), times 16/9 (exact) or 4 (fast) for 3x3, times 36/25 or 4 for 5x5.
 #[derive(Clone)]
 pub struct Conv2d {
-    /// (outputs, inputs, kernel, kernel).
-    weight: Parameter,
-    /// (outputs).
-    bias: Parameter,
+    /// The weight is (outputs, inputs, kernel, kernel).
+    parameters: Parameters,
+    stride: usize,
     precision: Precision,
-    prepared: Arc<OnceLock<std::result::Result<Convolution, String>>>,
+    prepared: Arc<OnceLock<std::result::Result<Prepared, String>>>,
+}
+
+/// What [`Conv2d`] lays out for a CPU.
+struct Prepared {
+    convolution: Convolution,
+    bias: Vec<f32>,
 }
 
 impl std::fmt::Debug for Conv2d {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Conv2d")
-            .field("weight", &self.weight)
-            .field("bias", &self.bias)
+            .field("parameters", &self.parameters)
+            .field("stride", &self.stride)
             .field("precision", &self.precision)
             .finish_non_exhaustive()
     }
@@ -63,23 +75,57 @@ impl Conv2d {
     /// If `kernel` is even, there are no inputs or outputs, or `weights` lacks a tensor or has it in
     /// another shape.
     pub fn new(inputs: usize, outputs: usize, kernel: usize, weights: &Weights) -> Result<Self> {
+        Self::read(inputs, outputs, kernel, true, weights)
+    }
+
+    /// Reads `weight` (outputs, inputs, kernel, kernel); there is no bias.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::new`].
+    pub fn without_bias(
+        inputs: usize,
+        outputs: usize,
+        kernel: usize,
+        weights: &Weights,
+    ) -> Result<Self> {
+        Self::read(inputs, outputs, kernel, false, weights)
+    }
+
+    fn read(
+        inputs: usize,
+        outputs: usize,
+        kernel: usize,
+        bias: bool,
+        weights: &Weights,
+    ) -> Result<Self> {
         if kernel.is_multiple_of(2) {
             bail!("a kernel of odd size is wanted, got {kernel}");
         }
         if inputs == 0 || outputs == 0 {
             bail!("a convolution of {inputs} to {outputs} channels is none");
         }
-        let weight = weights.get([outputs, inputs, kernel, kernel], "weight")?;
-        let bias = weights.get([outputs], "bias")?;
-        Ok(Self::from_parts(weight, bias, Precision::default()))
+        let shape = [outputs, inputs, kernel, kernel];
+        Ok(Self {
+            parameters: Parameters::new(&shape, bias, weights)?,
+            stride: 1,
+            precision: Precision::default(),
+            prepared: Arc::default(),
+        })
     }
 
-    fn from_parts(weight: Parameter, bias: Parameter, precision: Precision) -> Self {
+    /// The same convolution, at every `stride`-th pixel of every `stride`-th row, from the first on.
+    ///
+    /// # Panics
+    ///
+    /// If `stride` is 0.
+    #[must_use]
+    pub fn with_stride(self, stride: usize) -> Self {
+        assert!(stride > 0, "a convolution goes on by a pixel at least");
         Self {
-            weight,
-            bias,
-            precision,
+            stride,
             prepared: Arc::default(),
+            ..self
         }
     }
 
@@ -89,34 +135,35 @@ impl Conv2d {
         if precision == self.precision {
             return self;
         }
-        Self::from_parts(self.weight, self.bias, precision)
+        Self {
+            precision,
+            prepared: Arc::default(),
+            ..self
+        }
     }
 
     /// This convolution followed by `norm` with its running statistics, as one convolution.
     ///
     /// # Errors
     ///
-    /// If `norm` has another number of channels than this has outputs.
+    /// If `norm` has another number of channels than this has outputs, or this is such a convolution
+    /// already.
     pub fn folded(&self, norm: &BatchNorm2d) -> Result<Self> {
-        let scale = (norm.weight.tensor()? / (norm.running_var.tensor()? + norm.eps)?.sqrt()?)?;
-        let bias = ((self.bias.tensor()? - norm.running_mean.tensor()?)? * &scale)?;
-        let weight = self.weight.tensor()?;
-        let scale = scale.reshape(((), 1, 1, 1))?;
-        Ok(Self::from_parts(
-            Parameter::from_tensor(&weight.broadcast_mul(&scale)?)?,
-            Parameter::from_tensor(&(bias + norm.bias.tensor()?)?)?,
-            self.precision,
-        ))
+        Ok(Self {
+            parameters: self.parameters.folded(norm)?,
+            prepared: Arc::default(),
+            ..*self
+        })
     }
 
-    /// `activation(conv(x))`; `x` is (batch, height, width, inputs), the result (batch, height,
-    /// width, outputs).
+    /// `activation(conv(x))`; `x` is (batch, height, width, inputs), the result (batch, strided height,
+    /// strided width, outputs).
     ///
     /// # Errors
     ///
     /// If `x` has another shape.
     pub fn forward(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
-        self.run(x, activation, None)
+        self.run(&[x], activation, None)
     }
 
     /// `residual + conv(x)`; `residual` has the shape of the result.
@@ -125,102 +172,178 @@ impl Conv2d {
     ///
     /// If `x` or `residual` has another shape.
     pub fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
-        self.run(x, Activation::Identity, Some(residual))
+        self.run(&[x], Activation::Identity, Some(residual))
     }
 
-    fn run(&self, x: &Tensor, activation: Activation, residual: Option<&Tensor>) -> Result<Tensor> {
-        let images = self.images(x)?;
-        let shape = images.shape(self.outputs());
+    /// `residual + activation(conv(x))`; `residual` has the shape of the result.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::forward_add`].
+    pub fn forward_then_add(
+        &self,
+        x: &Tensor,
+        activation: Activation,
+        residual: &Tensor,
+    ) -> Result<Tensor> {
+        self.run(&[x], activation, Some(residual))
+    }
+
+    /// `activation(conv(x))` where the channels of `x` are those of `parts`, one after the other. A part
+    /// of a fraction of the height and width, like a half, stands for itself enlarged by
+    /// [`upsample_nearest`].
+    ///
+    /// On a CPU, kernels of 1 read the parts where they lie: nothing is concatenated or enlarged.
+    ///
+    /// # Errors
+    ///
+    /// If there are no parts, or they do not fit each other or the channels.
+    pub fn forward_of(&self, parts: &[&Tensor], activation: Activation) -> Result<Tensor> {
+        self.run(parts, activation, None)
+    }
+
+    fn run(
+        &self,
+        parts: &[&Tensor],
+        activation: Activation,
+        residual: Option<&Tensor>,
+    ) -> Result<Tensor> {
+        let images = self.images(parts)?;
+        let strided = images.strided(self.stride);
+        let shape = strided.shape(self.outputs());
         if let Some(residual) = residual
             && residual.dims4()? != shape
         {
             bail!("{:?} cannot be added to {shape:?}", residual.shape());
         }
-        if !self.is_on_host() {
-            let y = activation.apply(&self.plain(x)?)?;
+        if !parts.iter().copied().chain(residual).all(HostTensor::fits) {
+            let y = activation.apply(&self.plain(&joined(parts, images)?)?)?;
             return residual.map_or(Ok(y.clone()), |residual| residual + &y);
         }
-        let mut out = vec![0.0; images.pixels() * self.outputs()];
-        with_values(x, |x| match residual {
-            None => self.stage(activation, None)?.run(images, x, &mut out),
-            Some(residual) => with_values(residual, |residual| {
-                let stage = self.stage(activation, Some(residual))?;
-                stage.run(images, x, &mut out)
-            }),
-        })?;
-        Tensor::from_vec(out, shape, &Device::Cpu)
+        let prepared = self.prepared()?;
+        let joined = match prepared.convolution.takes_parts() {
+            true => None,
+            false => Some(joined(parts, images)?),
+        };
+        let parts = match &joined {
+            Some(joined) => &[joined][..],
+            None => parts,
+        };
+        let parts = (parts.iter().map(|part| regular(part))).collect::<Result<Vec<_>>>()?;
+        let hosts = (parts.iter().map(HostTensor::new)).collect::<Result<Vec<_>>>()?;
+        let parts = (hosts.iter())
+            .map(|host| {
+                let times = images.height / host.dims()[1].max(1);
+                Ok(Part {
+                    pixels: Pixels::of(host)?,
+                    times: times.max(1),
+                })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let residual = residual.map(regular).transpose()?;
+        let residual = residual.as_ref().map(HostTensor::new).transpose()?;
+        let residual = residual.as_ref().map(Pixels::of).transpose()?;
+        let stage = self.stage(prepared, activation, residual);
+        Tensor::from_vec(stage.run(images, &parts)?, shape, &Device::Cpu)
     }
 
     fn inputs(&self) -> usize {
-        self.weight.shape()[1]
+        self.parameters.shape()[1]
     }
 
     fn outputs(&self) -> usize {
-        self.weight.shape()[0]
+        self.parameters.outputs()
     }
 
-    fn is_on_host(&self) -> bool {
-        self.weight.host().is_some() && self.bias.host().is_some()
+    fn kernel(&self) -> usize {
+        self.parameters.shape()[2]
     }
 
-    /// The sizes of `x`, whose channels must be the inputs.
-    fn images(&self, x: &Tensor) -> Result<Images> {
-        let (batch, height, width, channels) = x.dims4()?;
-        if channels != self.inputs() {
-            bail!("{} channels are wanted, got {:?}", self.inputs(), x.shape());
+    /// The sizes of images that consist of `parts`, whose channels must be the inputs.
+    fn images(&self, parts: &[&Tensor]) -> Result<Images> {
+        let mut images: Option<Images> = None;
+        let mut inputs = 0;
+        for part in parts {
+            let (batch, height, width, channels) = part.dims4()?;
+            inputs += channels;
+            images = Some(Images {
+                batch,
+                height: height.max(images.map_or(0, |images| images.height)),
+                width: width.max(images.map_or(0, |images| images.width)),
+            });
         }
-        Ok(Images {
-            batch,
-            height,
-            width,
-        })
+        let shapes = || parts.iter().map(|part| part.shape()).collect::<Vec<_>>();
+        let Some(images) = images.filter(|_| inputs == self.inputs()) else {
+            bail!("{} channels are wanted, got {:?}", self.inputs(), shapes());
+        };
+        for part in parts {
+            let (batch, height, width, _) = part.dims4()?;
+            let times = images.height / height.max(1);
+            let enlarged = (batch, times * height, times * width);
+            if enlarged != (images.batch, images.height, images.width) {
+                bail!("{:?} are no parts of the same images", shapes());
+            }
+        }
+        Ok(images)
     }
 
-    /// What is to be done on a CPU; weights are laid out the first time.
-    fn stage<'a>(
-        &'a self,
-        activation: Activation,
-        residual: Option<&'a [f32]>,
-    ) -> Result<Stage<'a>> {
-        let (Some(values), Some(bias)) = (self.weight.host(), self.bias.host()) else {
-            bail!("the weights of this convolution are not on the CPU");
-        };
+    /// What is laid out for a CPU, the first time.
+    fn prepared(&self) -> Result<&Prepared> {
         let prepare = || {
+            let Some(folded) = self.parameters.host() else {
+                bail!("the weights of this convolution are not on the CPU");
+            };
             let filter = Filter {
-                values,
+                values: &folded.weight,
                 outputs: self.outputs(),
                 inputs: self.inputs(),
-                kernel: self.weight.shape()[2],
+                kernel: self.kernel(),
+                stride: self.stride,
             };
-            Convolution::new(Isa::current()?, filter, self.precision == Precision::Fast)
+            let fast = self.precision == Precision::Fast;
+            Ok(Prepared {
+                convolution: Convolution::new(Isa::current()?, filter, fast)?,
+                bias: folded.bias,
+            })
         };
         let prepared = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
-        Ok(Stage {
-            convolution: prepared.as_ref().map_err(|e| Error::Msg(e.clone()))?,
+        prepared.as_ref().map_err(|e| Error::Msg(e.clone()))
+    }
+
+    /// What is to be done on a CPU.
+    fn stage<'a>(
+        &self,
+        prepared: &'a Prepared,
+        activation: Activation,
+        residual: Option<Pixels<'a>>,
+    ) -> Stage<'a> {
+        Stage {
+            convolution: &prepared.convolution,
             inputs: self.inputs(),
+            stride: self.stride,
             epilogue: Epilogue {
-                bias,
+                bias: &prepared.bias,
                 activation,
                 residual,
             },
-        })
+        }
     }
 
     /// The convolution by candle's own operations.
     fn plain(&self, x: &Tensor) -> Result<Tensor> {
-        let padding = self.weight.shape()[2] / 2;
+        let (weight, bias) = self.parameters.tensors()?;
         x.permute((0, 3, 1, 2))?
             .contiguous()?
-            .conv2d(&self.weight.tensor()?, padding, 1, 1, 1)?
+            .conv2d(&weight, self.kernel() / 2, self.stride, 1, 1)?
             .permute((0, 2, 3, 1))?
-            .broadcast_add(&self.bias.tensor()?)?
+            .broadcast_add(&bias)?
             .contiguous()
     }
 }
 
 /// Several convolutions, each followed by its activation, on the result of the one before; `x` is
 /// (batch, height, width, inputs of the first), the result (batch, height, width, outputs of the
-/// last).
+/// last), with height and width as the strides leave them.
 ///
 /// The same as [`Conv2d::forward`] of each in turn. But on a CPU, images are processed one by one,
 /// and what lies between two layers in memory that is kept for the next call: that is faster than
@@ -239,18 +362,40 @@ pub fn convolve_in_turn(layers: &[(Conv2d, Activation)], x: &Tensor) -> Result<T
             bail!("a convolution of {inputs} channels cannot follow one to {outputs}");
         }
     }
-    let images = first.images(x)?;
-    if !layers.iter().all(|(conv, _)| conv.is_on_host()) {
+    let images = first.images(&[x])?;
+    if !HostTensor::fits(x) {
         return (layers.iter()).try_fold(x.clone(), |x, (conv, activation)| {
             conv.forward(&x, *activation)
         });
     }
     let stages = (layers.iter())
-        .map(|(conv, activation)| conv.stage(*activation, None))
+        .map(|(conv, activation)| Ok(conv.stage(conv.prepared()?, *activation, None)))
         .collect::<Result<Vec<_>>>()?;
-    let mut out = vec![0.0; images.pixels() * last.outputs()];
-    with_values(x, |x| in_turn(&stages, images, x, &mut out))?;
-    Tensor::from_vec(out, images.shape(last.outputs()), &Device::Cpu)
+    let strided = (layers.iter()).fold(images, |images, (conv, _)| images.strided(conv.stride));
+    let out = with_values(x, |x| in_turn(&stages, images, x))?;
+    Tensor::from_vec(out, strided.shape(last.outputs()), &Device::Cpu)
+}
+
+/// `parts` enlarged to the size of `images`, one after the other.
+fn joined(parts: &[&Tensor], images: Images) -> Result<Tensor> {
+    if let [part] = parts {
+        return Ok((*part).clone());
+    }
+    let enlarged = (parts.iter())
+        .map(|part| match images.height / part.dim(1)?.max(1) {
+            0 | 1 => Ok((*part).clone()),
+            times => upsample_nearest(part, times),
+        })
+        .collect::<Result<Vec<_>>>()?;
+    Tensor::cat(&enlarged, 3)
+}
+
+/// `x` with its pixels at equal distances.
+fn regular(x: &Tensor) -> Result<Tensor> {
+    match Pixels::lie(x) {
+        true => Ok(x.clone()),
+        false => x.contiguous(),
+    }
 }
 
 /// Calls `with` on the numbers of `x`, row-major.

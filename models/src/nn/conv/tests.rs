@@ -2,18 +2,16 @@ use candle_core::Device;
 
 use super::*;
 
-fn conv(inputs: usize, outputs: usize, kernel: usize) -> Conv2d {
+fn weights() -> Weights {
     let make = |name: &str, shape: &[usize]| {
         let value = |i: usize| ((i * 7919 + name.len()) % 23) as f32 / 23.0 - 0.4;
         (0..shape.iter().product()).map(value).collect()
     };
-    Conv2d::new(
-        inputs,
-        outputs,
-        kernel,
-        &Weights::from_fn(make, &Device::Cpu),
-    )
-    .unwrap()
+    Weights::from_fn(make, &Device::Cpu)
+}
+
+fn conv(inputs: usize, outputs: usize, kernel: usize) -> Conv2d {
+    Conv2d::new(inputs, outputs, kernel, &weights()).unwrap()
 }
 
 fn image(shape: (usize, usize, usize, usize)) -> Tensor {
@@ -53,11 +51,71 @@ fn like_candle() {
 }
 
 #[test]
-fn strided_images_are_read() {
-    let conv = conv(4, 5, 3);
-    let x = image((2, 7, 6, 8)).narrow(3, 2, 4).unwrap();
-    let got = conv.forward(&x, Activation::Identity).unwrap();
-    assert!(error(&got, &conv.plain(&x).unwrap()) < 2e-6);
+fn strides_without_bias_like_candle() {
+    for (inputs, outputs, kernel) in [(3, 40, 3), (40, 33, 3), (34, 3, 5), (5, 7, 1)] {
+        for stride in [1, 2] {
+            let (weights, x) = (weights(), image((2, 9, 6, inputs)));
+            let conv = Conv2d::without_bias(inputs, outputs, kernel, &weights).unwrap();
+            let conv = conv.with_stride(stride);
+            let got = conv.forward(&x, Activation::Identity).unwrap();
+            let size = if stride == 2 { [5, 3] } else { [9, 6] };
+            assert_eq!(got.dims(), [2, size[0], size[1], outputs]);
+            let plain = conv.plain(&x).unwrap();
+            assert!(error(&got, &plain) < 3e-6, "{conv:?}");
+            let residual = image((2, size[0], size[1], outputs));
+            let got = conv.forward_then_add(&x, Activation::Silu, &residual);
+            let want = residual + Activation::Silu.apply(&plain).unwrap();
+            assert!(error(&got.unwrap(), &want.unwrap()) < 3e-6, "{conv:?}");
+        }
+    }
+}
+
+#[test]
+fn images_are_read_where_they_lie() {
+    // Gathered by rows and by pixels, shifted, Winograd's.
+    for (inputs, outputs, kernel) in [(4, 5, 3), (30, 5, 1), (40, 3, 3), (40, 33, 3)] {
+        let conv = conv(inputs, outputs, kernel);
+        let wide = image((2, 7, 6, inputs + 5));
+        let residual = image((2, 7, 6, outputs + 3)).narrow(3, 3, outputs).unwrap();
+        // The channels of pixels, or parts of rows.
+        for x in [
+            wide.narrow(3, 2, inputs),
+            image((2, 7, 9, inputs)).narrow(2, 1, 6),
+        ] {
+            let x = x.unwrap();
+            let got = conv.forward_then_add(&x, Activation::Relu, &residual);
+            let want = &residual + Activation::Relu.apply(&conv.plain(&x).unwrap()).unwrap();
+            assert!(error(&got.unwrap(), &want.unwrap()) < 3e-6, "{conv:?}");
+        }
+    }
+}
+
+#[test]
+fn parts_are_one_after_the_other() {
+    let parts = [
+        image((2, 6, 8, 20)).narrow(3, 4, 7).unwrap(),
+        image((2, 3, 4, 300)),
+        image((2, 6, 8, 33)),
+    ];
+    let enlarged = upsample_nearest(&parts[1], 2).unwrap();
+    let x = Tensor::cat(&[&parts[0], &enlarged, &parts[2]], 3).unwrap();
+    for (outputs, kernel, stride) in [(40, 1, 1), (7, 1, 2), (40, 3, 1), (5, 3, 2)] {
+        let conv = conv(340, outputs, kernel).with_stride(stride);
+        let got = conv.forward_of(&parts.iter().collect::<Vec<_>>(), Activation::Relu);
+        let want = Activation::Relu.apply(&conv.plain(&x).unwrap());
+        assert!(error(&got.unwrap(), &want.unwrap()) < 3e-6, "{conv:?}");
+    }
+    let conv = conv(340, 5, 1);
+    let forward = |parts: &[&Tensor]| conv.forward_of(parts, Activation::Identity);
+    assert!(forward(&[]).is_err());
+    assert!(forward(&[&x, &parts[0]]).is_err());
+    let [a, b, c] = [
+        image((2, 6, 8, 40)),
+        image((2, 4, 4, 300)),
+        image((1, 6, 8, 300)),
+    ];
+    assert!(forward(&[&a, &b]).is_err());
+    assert!(forward(&[&a, &c]).is_err());
 }
 
 #[test]
@@ -93,7 +151,7 @@ fn a_folded_norm_is_the_norm() {
         .forward(&x, Activation::Identity)
         .unwrap();
     let y = conv.plain(&x).unwrap();
-    let channel = |p: &Parameter| p.tensor().unwrap();
+    let channel = |p: &crate::Parameter| p.tensor().unwrap();
     let want = y
         .broadcast_sub(&channel(&norm.running_mean))
         .and_then(|y| y.broadcast_div(&(channel(&norm.running_var) + 1e-5)?.sqrt()?))
@@ -101,6 +159,24 @@ fn a_folded_norm_is_the_norm() {
         .and_then(|y| y.broadcast_add(&channel(&norm.bias)))
         .unwrap();
     assert!(error(&got, &want) < 2e-6);
+    assert!(error(&conv.folded(&norm).unwrap().plain(&x).unwrap(), &want) < 2e-6);
+    assert!(
+        conv.folded(&norm)
+            .and_then(|conv| conv.folded(&norm))
+            .is_err()
+    );
+    let other = BatchNorm2d::new(5, 1e-5, &weights()).unwrap();
+    assert!(conv.folded(&other).is_err());
+}
+
+#[test]
+fn norms_are_folded_without_values() {
+    // Networks are asked for the names of their tensors before there is a file.
+    let weights = Weights::names_only();
+    let norm = BatchNorm2d::new(4, 1e-5, &weights.pp("norm")).unwrap();
+    let conv = Conv2d::without_bias(3, 4, 3, &weights.pp("conv")).unwrap();
+    assert!(conv.folded(&norm).is_ok());
+    assert!(!weights.asked().contains_key("conv.bias"));
 }
 
 #[test]
@@ -108,7 +184,7 @@ fn in_turn_is_one_after_the_other() {
     let layers = [
         (conv(6, 40, 3), Activation::Selu),
         (conv(40, 36, 5), Activation::Relu),
-        (conv(36, 34, 1), Activation::Gelu),
+        (conv(36, 34, 1).with_stride(2), Activation::Gelu),
         (conv(34, 3, 3), Activation::Identity),
     ];
     for count in 1..=layers.len() {

@@ -52,12 +52,12 @@ pub(in crate::nn) fn layer_norm(
 }
 
 /// Rows as long as `weight` and `bias`; `to` has room for as many numbers as `from`.
-struct Normalise<'a> {
-    from: &'a [f32],
-    weight: &'a [f32],
-    bias: &'a [f32],
-    eps: f32,
-    to: *mut f32,
+pub(super) struct Normalise<'a> {
+    pub(super) from: &'a [f32],
+    pub(super) weight: &'a [f32],
+    pub(super) bias: &'a [f32],
+    pub(super) eps: f32,
+    pub(super) to: *mut f32,
 }
 
 impl Task for Normalise<'_> {

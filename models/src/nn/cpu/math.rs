@@ -81,12 +81,31 @@ pub(super) fn gelu<S: Simd>(simd: S, x: S::V) -> S::V {
     simd.fnma(size, tail, simd.max(simd.splat(0.0), x))
 }
 
+/// `x / (1 + exp(-t))`: `x` times the logistic function of `t`, with a relative error below 5e-7.
+#[inline(always)]
+fn gated<S: Simd>(simd: S, x: S::V, t: S::V) -> S::V {
+    let grown = exp(simd, simd.sub(simd.splat(0.0), t));
+    simd.div(x, simd.add(simd.splat(1.0), grown))
+}
+
+/// GELU's approximation by tanh. Since `(1 + tanh(u)) / 2` is the logistic function of `2 u`, no digits
+/// cancel.
+#[inline(always)]
+fn gelu_tanh<S: Simd>(simd: S, x: S::V) -> S::V {
+    // 2 sqrt(2 / pi), and that times 0.044715.
+    const LINEAR: f32 = 1.595_769_1;
+    const CUBIC: f32 = 0.071_354_814;
+    let slope = simd.fma(simd.splat(CUBIC), simd.mul(x, x), simd.splat(LINEAR));
+    gated(simd, x, simd.mul(x, slope))
+}
+
 /// `activation(x)`.
 #[inline(always)]
 pub(super) fn activate<S: Simd>(simd: S, activation: Activation, x: S::V) -> S::V {
     match activation {
         Activation::Identity => x,
         Activation::Gelu => gelu(simd, x),
+        Activation::GeluTanh => gelu_tanh(simd, x),
         Activation::Relu => simd.max(simd.splat(0.0), x),
         Activation::Selu => {
             let scale = Activation::SELU_SCALE as f32;
@@ -96,6 +115,7 @@ pub(super) fn activate<S: Simd>(simd: S, activation: Activation, x: S::V) -> S::
             let positive = simd.mul(simd.splat(scale), x);
             simd.if_less(x, simd.splat(0.0), negative, positive)
         }
+        Activation::Silu => gated(simd, x, x),
     }
 }
 
@@ -110,7 +130,7 @@ mod tests {
     enum Function {
         Exp,
         Exp2,
-        Gelu,
+        Activation(Activation),
     }
 
     /// The function's values at `x`.
@@ -129,7 +149,7 @@ mod tests {
                     let v = match self.0 {
                         Function::Exp => exp(simd, v),
                         Function::Exp2 => exp2(simd, v),
-                        Function::Gelu => gelu(simd, v),
+                        Function::Activation(activation) => activate(simd, activation, v),
                     };
                     simd.store_up_to(y.as_mut_ptr(), y.len(), v);
                 }
@@ -177,7 +197,10 @@ mod tests {
     fn gelu_is_right_to_a_unit_of_its_result() {
         for x in [sweep(0.01), sweep(10.0), sweep(1e4)] {
             for isa in Isa::available() {
-                for (x, got) in x.iter().zip(isa.run(Values(Function::Gelu, &x))) {
+                for (x, got) in x
+                    .iter()
+                    .zip(isa.run(Values(Function::Activation(Activation::Gelu), &x)))
+                {
                     let wide = f64::from(*x);
                     let want = 0.5 * wide * (1.0 + erf_f64(wide * std::f64::consts::FRAC_1_SQRT_2));
                     let bound = 5e-8 + 1.2e-7 * want.abs();
@@ -185,6 +208,34 @@ mod tests {
                         (f64::from(got) - want).abs() < bound,
                         "{isa} {x}: {got} {want}"
                     );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn gated_activations_keep_their_digits_below_zero() {
+        // `x` times the logistic function of these.
+        let gelu_tanh =
+            |x: f64| 2.0 * (2.0 / std::f64::consts::PI).sqrt() * (x + 0.044715 * x.powi(3));
+        let gates: [(Activation, &dyn Fn(f64) -> f64, f32); 2] = [
+            (Activation::Silu, &|x| x, 80.0),
+            (Activation::GeluTanh, &gelu_tanh, 6.0),
+        ];
+        for (activation, gate, end) in gates {
+            for x in [sweep(0.01), sweep(end)] {
+                for isa in Isa::available() {
+                    for (x, got) in x
+                        .iter()
+                        .zip(isa.run(Values(Function::Activation(activation), &x)))
+                    {
+                        let t = gate((*x).into());
+                        let want = f64::from(*x) / (1.0 + (-t).exp());
+                        // The exponent itself is a rounded number.
+                        let bound = (5e-7 + 2e-7 * t.abs()) * want.abs();
+                        let error = (f64::from(got) - want).abs();
+                        assert!(error <= bound, "{isa} {activation:?} {x}: {got} {want}");
+                    }
                 }
             }
         }

@@ -17,25 +17,33 @@
 mod attention;
 pub(in crate::nn) mod conv;
 mod elementwise;
+mod exchange;
 mod gemm;
 mod host;
 mod isa;
 mod layer_norm;
 mod linear;
+mod linear_attention;
 mod math;
 mod peak;
+mod resample;
 mod rope;
 mod scratch;
 mod shared;
 mod simd;
+mod upscaling;
 
 pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
 pub use isa::Isa;
 pub use peak::measured_peak_flops;
 
-pub(super) use attention::attention;
+pub(super) use attention::{attention, window_attention};
 pub(super) use elementwise::activation;
+pub(super) use exchange::{ExchangeInputs, exchange};
 pub(super) use host::HostTensor;
 pub(super) use layer_norm::layer_norm;
 pub(super) use linear::linear;
+pub(super) use linear_attention::linear_attention;
+pub(super) use resample::{Taps, max_pool, resize};
 pub(super) use rope::rotate;
+pub(super) use upscaling::{UpscalingWeights, upscaled_products};

@@ -35,6 +35,21 @@ impl Scratch {
         let lines = lines.unwrap_or_else(|| vec![Line([0.0; 16]); wanted]);
         Self { lines, len }
     }
+
+    /// Room for several parts, each on lines of its own.
+    pub(super) fn take_parts<const N: usize>(sizes: [usize; N]) -> Self {
+        Self::take(sizes.iter().map(|size| size.next_multiple_of(16)).sum())
+    }
+
+    /// The parts, of the sizes that they were taken for.
+    pub(super) fn parts<const N: usize>(&mut self, sizes: [usize; N]) -> [&mut [f32]; N] {
+        let mut rest = &mut self[..];
+        sizes.map(|size| {
+            let (part, others) = std::mem::take(&mut rest).split_at_mut(size.next_multiple_of(16));
+            rest = others;
+            &mut part[..size]
+        })
+    }
 }
 
 impl Drop for Scratch {

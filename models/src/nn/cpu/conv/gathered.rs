@@ -1,26 +1,34 @@
 //! The definition as a product of matrices: pixels x (kernel * kernel * inputs), times the filters.
 //!
-//! The first factor, the windows around all pixels, would be `kernel^2` times the image. It exists
-//! for a few pixels at a time.
+//! The first factor, the windows around all pixels, would be `kernel^2` times the image. It never exists:
+//! the product reads windows where they lie, piece by piece.
 
 use candle_core::Result;
 use rayon::prelude::*;
 
-use super::{Epilogue, Filter, Images};
-use crate::nn::cpu::gemm::{self, Factor, Matrix, MatrixMut, PackedFactor, gemm_serial};
+use super::{Epilogue, Filter, Images, Part};
+use crate::nn::cpu::gemm::{Factor, Matrix, PackedFactor, Pieces, Scattered, Table};
 use crate::nn::cpu::isa::Isa;
 use crate::nn::cpu::scratch::Scratch;
+use crate::nn::cpu::shared::Shared;
 
-/// Numbers of windows that are gathered together, about: 256 KiB.
-const GATHERED: usize = 1 << 16;
-/// Pixels at least, and at most. They are multiples of all tiles' rows.
-const PIXELS: (usize, usize) = (84, 336);
+/// Pixels of a task, a multiple of all tiles' rows: so many rows of windows stay in the second cache,
+/// and reading the filters costs little against multiplying.
+const PIXELS: usize = 168;
+/// The same where there would be fewer than [`TASKS`].
+const PIXELS_LEAST: usize = 84;
+/// Tasks for each thread, at least. Where pixels are too few, outputs are shared out, too.
+const TASKS: usize = 4;
+/// Channels that are multiplied with one place of a window at a time. Below, it is a row of the window.
+const CHANNELS: usize = 24;
 
-/// A convolution as a product with gathered windows.
+/// A convolution as a product with windows.
 pub(in crate::nn) struct Gathered {
+    isa: Isa,
     inputs: usize,
     outputs: usize,
     kernel: usize,
+    stride: usize,
     /// (kernel * kernel * inputs, outputs), in this order.
     filter: PackedFactor,
 }
@@ -31,6 +39,7 @@ impl Gathered {
             outputs,
             inputs,
             kernel,
+            stride,
             ..
         } = filter;
         let depth = kernel * kernel * inputs;
@@ -44,67 +53,174 @@ impl Gathered {
         }
         let rows = Factor::Transposed(Matrix::new(&rows, outputs, depth, depth)?);
         Ok(Self {
+            isa,
             inputs,
             outputs,
             kernel,
+            stride,
             filter: PackedFactor::pack_for(isa, rows),
         })
     }
 
     /// See [`super::Convolution::run`].
-    pub(super) fn run(
+    ///
+    /// # Safety
+    ///
+    /// As there.
+    pub(super) unsafe fn run(
         &self,
         images: Images,
-        x: &[f32],
+        parts: &[Part<'_>],
         epilogue: Epilogue<'_>,
-        out: &mut [f32],
+        out: *mut f32,
     ) -> Result<()> {
-        let depth = self.filter.depth();
-        let pixels = (GATHERED / depth.max(1)).clamp(PIXELS.0, PIXELS.1) / PIXELS.0 * PIXELS.0;
-        let outputs = self.outputs;
-        (out.par_chunks_mut(pixels * outputs).enumerate()).try_for_each(|(i, out)| {
-            let (first, count) = (i * pixels, out.len() / outputs);
-            let mut windows = Scratch::take(count * depth);
-            for (pixel, window) in windows.chunks_exact_mut(depth).enumerate() {
-                self.gather(images, x, first + pixel, window);
+        let windows = Windows::new(self, images, parts);
+        let (all, outputs) = (images.strided(self.stride).pixels(), self.outputs);
+        let panels = outputs.div_ceil(self.isa.tile().1);
+        let wanted = match rayon::current_num_threads() {
+            1 => 1,
+            threads => TASKS * threads,
+        };
+        let pixels = match all.div_ceil(PIXELS) < wanted {
+            true => PIXELS_LEAST,
+            false => PIXELS,
+        };
+        let down = all.div_ceil(pixels);
+        let group = panels.div_ceil(wanted.div_ceil(down).min(panels));
+        let across = panels.div_ceil(group);
+        let out = Shared(out);
+        (0..down * across).into_par_iter().for_each(|task| {
+            let first = task / across * pixels;
+            let panel = task % across * group;
+            let count = pixels.min(all - first);
+            let (table, _edges) = windows.table(first, count);
+            let c: Vec<*mut f32> = (first..first + count)
+                .map(|i| out.add(i * outputs))
+                .collect();
+            let residual: Option<Vec<*const f32>> = (epilogue.residual).map(|all| {
+                (first..first + count)
+                    .map(|i| all.pixel(i).as_ptr())
+                    .collect()
+            });
+            let product = Scattered {
+                a: &table,
+                pieces: &windows.pieces,
+                b: &self.filter,
+                panels: panel..(panel + group).min(panels),
+                c: &c,
+                bias: Some(epilogue.bias),
+                activation: epilogue.activation,
+                residual: residual.as_deref(),
+            };
+            // SAFETY: the table has the pieces of these rows; no other task has the same rows and
+            // columns; and the caller's promises.
+            unsafe { product.run() };
+        });
+        Ok(())
+    }
+}
+
+/// The windows around the outputs' pixels, in pieces.
+struct Windows<'a> {
+    layer: &'a Gathered,
+    images: Images,
+    parts: &'a [Part<'a>],
+    pieces: Pieces,
+    /// Whether pieces are rows of a window, rather than pixels.
+    rows: bool,
+    /// What is outside of an image.
+    zeros: Vec<f32>,
+}
+
+impl<'a> Windows<'a> {
+    fn new(layer: &'a Gathered, images: Images, parts: &'a [Part<'a>]) -> Self {
+        let kernel = layer.kernel;
+        let rows = match parts {
+            [Part { pixels, times: 1 }] => {
+                kernel > 1 && pixels.stride() == pixels.channels() && layer.inputs < CHANNELS
             }
-            let residual = (epilogue.residual)
-                .map(|all| Matrix::new(&all[first * outputs..], count, outputs, outputs))
-                .transpose()?;
-            gemm_serial(
-                Matrix::new(&windows, count, depth, depth)?,
-                &self.filter,
-                MatrixMut::new(out, count, outputs, outputs)?,
-                &gemm::Epilogue {
-                    bias: Some(epilogue.bias),
-                    activation: epilogue.activation,
-                    residual,
-                    ..gemm::Epilogue::default()
-                },
-            )
-        })
+            _ => false,
+        };
+        let pieces = match rows {
+            true => Pieces::new((0..kernel).map(|_| kernel * layer.inputs)),
+            false => {
+                let channels = parts.iter().map(|part| part.pixels.channels());
+                Pieces::new((0..kernel * kernel).flat_map(|_| channels.clone()))
+            }
+        };
+        Self {
+            layer,
+            images,
+            parts,
+            pieces,
+            rows,
+            zeros: vec![0.0; kernel * layer.inputs],
+        }
     }
 
-    /// The inputs around a pixel, which is counted through all images.
-    fn gather(&self, images: Images, x: &[f32], pixel: usize, window: &mut [f32]) {
-        let Images { height, width, .. } = images;
-        let (kernel, inputs) = (self.kernel, self.inputs);
-        let (row, column) = (pixel / width, pixel % width);
-        let (image, row) = (row / height, row % height);
-        // Columns of the window that are inside of the image.
-        let first = (kernel / 2).saturating_sub(column);
-        let last = kernel.min(width + kernel / 2 - column);
-        for (i, line) in window.chunks_exact_mut(kernel * inputs).enumerate() {
-            let y = (row + i).wrapping_sub(kernel / 2);
-            if y >= height {
-                line.fill(0.0);
-                continue;
+    /// Where the windows of `count` outputs from `first` on lie; and copies, to be kept as long, of
+    /// those that reach beyond an image.
+    fn table(&self, first: usize, count: usize) -> (Table, Option<Scratch>) {
+        let Images { height, width, .. } = self.images;
+        let Gathered {
+            isa,
+            inputs,
+            kernel,
+            stride,
+            ..
+        } = *self.layer;
+        let strided = self.images.strided(stride);
+        let mut table = Table::new(isa, self.pieces.count(), count, self.zeros.as_ptr());
+        let row_size = kernel * inputs;
+        let mut edges = (self.rows).then(|| Scratch::take(count * kernel * row_size));
+        let mut copied = Vec::new();
+        for row in 0..count {
+            let pixel = first + row;
+            let (y, x) = (pixel / strided.width, pixel % strided.width);
+            let (image, y) = (y / strided.height, y % strided.height);
+            // Rows and columns of the image, more by half a kernel.
+            let (top, left) = (y * stride, x * stride);
+            let inside = |at: usize, size: usize| at >= kernel / 2 && at < size + kernel / 2;
+            for i in (0..kernel).filter(|i| inside(top + i, height)) {
+                let line = image * height + top + i - kernel / 2;
+                match &mut edges {
+                    Some(edges) => {
+                        let pixels = self.parts[0].pixels;
+                        let whole = left >= kernel / 2 && left + kernel / 2 < width;
+                        let pixel = |j: usize| pixels.pixel(line * width + left + j - kernel / 2);
+                        if whole {
+                            table.set(row, i, pixel(0).as_ptr());
+                            continue;
+                        }
+                        let start = (row * kernel + i) * row_size;
+                        let copy = edges[start..][..row_size].chunks_exact_mut(inputs);
+                        for (j, to) in copy.enumerate() {
+                            match inside(left + j, width) {
+                                true => to.copy_from_slice(pixel(j)),
+                                false => to.fill(0.0),
+                            }
+                        }
+                        copied.push((row, i, start));
+                    }
+                    None => {
+                        for j in (0..kernel).filter(|j| inside(left + j, width)) {
+                            let column = left + j - kernel / 2;
+                            for (p, part) in self.parts.iter().enumerate() {
+                                let at =
+                                    line / part.times * (width / part.times) + column / part.times;
+                                let piece = (i * kernel + j) * self.parts.len() + p;
+                                table.set(row, piece, part.pixels.pixel(at).as_ptr());
+                            }
+                        }
+                    }
+                }
             }
-            let start = (image * height + y) * width + column + first - kernel / 2;
-            let (inside, count) = (first * inputs, (last - first) * inputs);
-            line[..inside].fill(0.0);
-            line[inside..][..count].copy_from_slice(&x[start * inputs..][..count]);
-            line[inside + count..].fill(0.0);
         }
+        if let Some(edges) = &edges {
+            for (row, piece, start) in copied {
+                table.set(row, piece, edges[start..].as_ptr());
+            }
+        }
+        (table, edges)
     }
 }

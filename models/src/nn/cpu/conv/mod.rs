@@ -1,26 +1,32 @@
-//! Convolutions in f32 on a CPU: odd square kernels, stride 1, zeros around the image, channels last.
+//! Convolutions in f32 on a CPU: odd square kernels, zeros around the image, channels last.
 //!
 //! Three ways lead to the same result, and [`Convolution::new`] chooses by kernel and channels:
 //!
-//! - [`winograd`]: fewer multiplications, for 3x3 and 5x5 kernels with many channels;
+//! - [`winograd`]: fewer multiplications, for 3x3 and 5x5 kernels of stride 1 with many channels;
 //! - [`gathered`]: the definition as one product of matrices, without an image of all windows;
-//! - [`shifted`]: the same for few outputs, the product first and the sum over the window after.
+//! - [`shifted`]: the same for few outputs and stride 1, the product first and the sum over the window after.
 
+mod depthwise;
 mod epilogue;
 mod gathered;
+mod pixels;
 mod shifted;
 mod stage;
 #[cfg(test)]
 mod tests;
+mod transpose;
 mod winograd;
 
+pub(in crate::nn) use depthwise::Depthwise;
 pub(in crate::nn) use epilogue::Epilogue;
 use gathered::Gathered;
+pub(in crate::nn) use pixels::{Part, Pixels};
 use shifted::Shifted;
 pub(in crate::nn) use stage::{Stage, in_turn};
+pub(in crate::nn) use transpose::Transpose;
 use winograd::{Scheme, Winograd};
 
-use candle_core::Result;
+use candle_core::{Result, bail};
 
 use super::isa::Isa;
 
@@ -32,6 +38,8 @@ pub(in crate::nn) struct Filter<'a> {
     pub(in crate::nn) inputs: usize,
     /// Odd.
     pub(in crate::nn) kernel: usize,
+    /// Pixels from one window to the next.
+    pub(in crate::nn) stride: usize,
 }
 
 impl Filter<'_> {
@@ -53,6 +61,15 @@ pub(in crate::nn) struct Images {
 impl Images {
     pub(in crate::nn) fn pixels(self) -> usize {
         self.batch * self.height * self.width
+    }
+
+    /// Of what a convolution of this stride makes of these images.
+    pub(in crate::nn) fn strided(self, stride: usize) -> Self {
+        Self {
+            height: self.height.div_ceil(stride),
+            width: self.width.div_ceil(stride),
+            ..self
+        }
     }
 
     /// Of a tensor of these images.
@@ -77,11 +94,11 @@ impl Convolution {
         // occur, on small images: reading four times the weights takes longer than multiplying.
         const WEIGHTS_FOR_LARGE_TILES: usize = 1 << 20;
         let large = fast && filter.inputs * filter.outputs <= WEIGHTS_FOR_LARGE_TILES;
-        let scheme = match (filter.kernel, large) {
-            (3, false) => Some(Scheme::F23),
-            (3, true) => Some(Scheme::F43),
-            (5, false) => Some(Scheme::F25),
-            (5, true) => Some(Scheme::F65),
+        let scheme = match (filter.kernel, filter.stride, large) {
+            (3, 1, false) => Some(Scheme::F23),
+            (3, 1, true) => Some(Scheme::F43),
+            (5, 1, false) => Some(Scheme::F25),
+            (5, 1, true) => Some(Scheme::F65),
             _ => None,
         };
         let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;
@@ -94,26 +111,42 @@ impl Convolution {
         }
     }
 
-    /// The convolution of `x`, which has `images.pixels()` times the inputs, finished by `epilogue`,
-    /// into `out`, which has as many times the outputs.
+    /// Whether channels may lie in several parts.
+    pub(in crate::nn) fn takes_parts(&self) -> bool {
+        matches!(self, Self::Gathered(_))
+    }
+
+    /// The convolution of images, whose channels are those of `parts` one after the other, finished by
+    /// `epilogue`, into `out`.
     ///
     /// # Errors
     ///
-    /// If these are not as many.
-    fn run(
+    /// If there are several parts, or one that is enlarged, and this does not take them.
+    ///
+    /// # Safety
+    ///
+    /// The parts have as many pixels as `images` says, and together the channels of the filter; the
+    /// epilogue those of the strided images and the outputs' channels. `out` can be written likewise,
+    /// by nobody else, and is written unless there is an error.
+    unsafe fn run(
         &self,
         images: Images,
-        x: &[f32],
+        parts: &[Part<'_>],
         epilogue: Epilogue<'_>,
-        out: &mut [f32],
+        out: *mut f32,
     ) -> Result<()> {
-        if out.is_empty() {
-            return Ok(());
-        }
-        match self {
-            Self::Winograd(way) => way.run(images, x, epilogue, out),
-            Self::Gathered(way) => way.run(images, x, epilogue, out),
-            Self::Shifted(way) => way.run(images, x, epilogue, out),
+        // SAFETY: as the caller promises.
+        unsafe {
+            match (self, parts) {
+                (Self::Gathered(way), parts) => way.run(images, parts, epilogue, out),
+                (Self::Winograd(way), [Part { pixels, times: 1 }]) => {
+                    way.run(images, *pixels, epilogue, out)
+                }
+                (Self::Shifted(way), [Part { pixels, times: 1 }]) => {
+                    way.run(images, *pixels, epilogue, out)
+                }
+                _ => bail!("this convolution does not take {} parts", parts.len()),
+            }
         }
     }
 }

@@ -5,7 +5,7 @@
 use candle_core::Result;
 use rayon::prelude::*;
 
-use super::{Epilogue, Filter, Images};
+use super::{Epilogue, Filter, Images, Pixels};
 use crate::nn::cpu::gemm::{self, Factor, Matrix, MatrixMut, PackedFactor, gemm_serial};
 use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::scratch::Scratch;
@@ -17,7 +17,6 @@ const PRODUCTS: usize = 1 << 17;
 /// A convolution as a product with all weights.
 pub(in crate::nn) struct Shifted {
     isa: Isa,
-    inputs: usize,
     outputs: usize,
     kernel: usize,
     /// (inputs, kernel * kernel * outputs).
@@ -32,7 +31,9 @@ impl Shifted {
         let products = (window * filter.outputs).next_multiple_of(columns);
         let gathered = window * filter.outputs.next_multiple_of(columns);
         // Sums cost about as much as 16 inputs' products.
-        filter.kernel > 1 && products * (filter.inputs + 16) < gathered * filter.inputs
+        filter.kernel > 1
+            && filter.stride == 1
+            && products * (filter.inputs + 16) < gathered * filter.inputs
     }
 
     pub(super) fn new(isa: Isa, filter: Filter<'_>) -> Result<Self> {
@@ -54,7 +55,6 @@ impl Shifted {
         let values = Factor::Plain(Matrix::new(&values, inputs, columns, columns)?);
         Ok(Self {
             isa,
-            inputs,
             outputs,
             kernel,
             filter: PackedFactor::pack_for(isa, values),
@@ -62,13 +62,22 @@ impl Shifted {
     }
 
     /// See [`super::Convolution::run`].
-    pub(super) fn run(
+    ///
+    /// # Safety
+    ///
+    /// As there.
+    pub(super) unsafe fn run(
         &self,
         images: Images,
-        x: &[f32],
+        x: Pixels<'_>,
         epilogue: Epilogue<'_>,
-        out: &mut [f32],
+        out: *mut f32,
     ) -> Result<()> {
+        let size = images.pixels() * self.outputs;
+        // SAFETY: as the caller promises, that can be written.
+        unsafe { out.write_bytes(0, size) };
+        // SAFETY: and now it can be read.
+        let out = unsafe { std::slice::from_raw_parts_mut(out, size) };
         let Images { height, width, .. } = images;
         let row = width * self.outputs;
         let columns = self.filter.columns();
@@ -89,7 +98,7 @@ impl Shifted {
             let (start, pixels) = ((image * height + first) * width, (last - first) * width);
             let mut products = Scratch::take(pixels * columns);
             gemm_serial(
-                Matrix::new(&x[start * self.inputs..], pixels, self.inputs, self.inputs)?,
+                x.matrix(start, pixels)?,
                 &self.filter,
                 MatrixMut::new(&mut products, pixels, columns, columns)?,
                 &gemm::Epilogue::default(),
@@ -99,7 +108,7 @@ impl Shifted {
                 self.isa.run(Finish {
                     sums: |out: &mut [f32]| self.sum(&products, first..last, y, width, out),
                     epilogue,
-                    start: (image * height + y) * row,
+                    first: (image * height + y) * width,
                     out,
                 });
             }
@@ -145,7 +154,8 @@ impl Shifted {
 struct Finish<'a, F> {
     sums: F,
     epilogue: Epilogue<'a>,
-    start: usize,
+    /// The row's first pixel, of all.
+    first: usize,
     out: &'a mut [f32],
 }
 
@@ -155,6 +165,6 @@ impl<F: FnOnce(&mut [f32])> Task for Finish<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         (self.sums)(self.out);
-        self.epilogue.finish(simd, self.start, self.out);
+        self.epilogue.finish(simd, self.first, self.out);
     }
 }

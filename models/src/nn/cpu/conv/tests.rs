@@ -53,6 +53,7 @@ struct Layer {
     inputs: usize,
     outputs: usize,
     kernel: usize,
+    stride: usize,
     x: Vec<f32>,
     weight: Vec<f32>,
     bias: Vec<f32>,
@@ -80,6 +81,7 @@ impl Layer {
             inputs,
             outputs,
             kernel,
+            stride: 1,
             x: numbers(seed, images.pixels() * inputs),
             weight: numbers(seed + 1, outputs * inputs * kernel * kernel),
             bias: numbers(seed + 2, outputs),
@@ -92,6 +94,7 @@ impl Layer {
             outputs: self.outputs,
             inputs: self.inputs,
             kernel: self.kernel,
+            stride: self.stride,
         }
     }
 
@@ -105,19 +108,35 @@ impl Layer {
     }
 
     fn run_with(&self, way: Way, isa: Isa, epilogue: Epilogue<'_>) -> Vec<f32> {
-        let mut out = vec![f32::NAN; self.images.pixels() * self.outputs];
         let convolution = way.prepare(isa, self.filter());
-        (convolution.run(self.images, &self.x, epilogue, &mut out)).unwrap();
-        out
+        let parts = [Part::new(Pixels::new(&self.x, self.inputs))];
+        self.run_parts(&convolution, &parts, epilogue)
+    }
+
+    fn run_parts(
+        &self,
+        convolution: &Convolution,
+        parts: &[Part<'_>],
+        epilogue: Epilogue<'_>,
+    ) -> Vec<f32> {
+        let stage = Stage {
+            convolution,
+            inputs: self.inputs,
+            stride: self.stride,
+            epilogue,
+        };
+        stage.run(self.images, parts).unwrap()
     }
 
     /// By the definition, in f64.
     fn want(&self) -> Vec<f64> {
         let Images { height, width, .. } = self.images;
+        let strided = self.images.strided(self.stride);
         let mut want = Vec::new();
-        for pixel in 0..self.images.pixels() {
-            let (row, column) = (pixel / width, pixel % width);
-            let (image, row) = (row / height, row % height);
+        for pixel in 0..strided.pixels() {
+            let (row, column) = (pixel / strided.width, pixel % strided.width);
+            let (image, row) = (row / strided.height, row % strided.height);
+            let (row, column) = (row * self.stride, column * self.stride);
             let mut sums: Vec<f64> = self.bias.iter().map(|&b| b.into()).collect();
             for i in 0..self.kernel {
                 for j in 0..self.kernel {
@@ -182,6 +201,94 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn strides_skip_pixels(
+        seed in 0_u64..1000,
+        size in (1_usize..3, 1_usize..30, 1_usize..30),
+        inputs in prop::sample::select(vec![1, 3, 16, 17]),
+        outputs in prop::sample::select(vec![1, 6, 17, 33]),
+        kernel in prop::sample::select(vec![1, 3, 5]),
+        stride in 2_usize..4,
+    ) {
+        let layer = Layer {
+            stride,
+            ..Layer::random(seed, images(size.0, size.1, size.2), inputs, outputs, kernel)
+        };
+        let want = layer.want();
+        for isa in Isa::available() {
+            let error = error(&layer.run(Way::Gathered, isa), &want);
+            prop_assert!(error < 1e-6, "{isa}: {error}");
+        }
+    }
+}
+
+/// Depthwise convolutions by the definition, as dense ones whose other weights are zero.
+#[test]
+fn depthwise_is_the_definition() {
+    for (channels, kernel, stride) in [(3, 3, 1), (16, 3, 2), (17, 5, 1), (40, 5, 2), (70, 3, 1)] {
+        for size in [(1, 1), (3, 2), (7, 10), (6, 13)] {
+            let mut layer = Layer {
+                stride,
+                ..Layer::random(23, images(2, size.0, size.1), channels, channels, kernel)
+            };
+            let weight = numbers(29, channels * kernel * kernel);
+            layer.weight.fill(0.0);
+            for (channel, window) in weight.chunks_exact(kernel * kernel).enumerate() {
+                let at = (channel * channels + channel) * window.len();
+                layer.weight[at..at + window.len()].copy_from_slice(window);
+            }
+            let want: Vec<f64> = layer.want().into_iter().map(|y| y.max(0.0)).collect();
+            for isa in Isa::available() {
+                let way = Depthwise::new(isa, &weight, &layer.bias, kernel, stride).unwrap();
+                let x = Pixels::new(&layer.x, channels);
+                let got = way.run(layer.images, x, Activation::Relu).unwrap();
+                let error = error(&got, &want);
+                assert!(
+                    error < 1e-6,
+                    "{channels} {kernel} {stride} {size:?} {isa}: {error}"
+                );
+            }
+        }
+    }
+}
+
+/// Transposed convolutions are convolutions of 1x1 to all pixels of the squares, which change places.
+#[test]
+fn transposed_is_the_definition() {
+    for (inputs, outputs, kernel) in [(3, 5, 2), (40, 17, 2), (300, 6, 3), (5, 70, 1)] {
+        let (images, square) = (images(2, 5, 4), kernel * kernel);
+        let weight = numbers(31, inputs * outputs * square);
+        let mut layer = Layer::random(37, images, inputs, outputs * square, 1);
+        let bias = layer.bias[..outputs].to_vec();
+        for (i, row) in layer.weight.chunks_exact_mut(inputs).enumerate() {
+            layer.bias[i] = bias[i / square];
+            for (input, to) in row.iter_mut().enumerate() {
+                *to = weight[input * outputs * square + i];
+            }
+        }
+        let squares = layer.want();
+        let mut want = Vec::new();
+        for y in 0..2 * 5 * kernel {
+            for x in 0..4 * kernel {
+                let pixel = y / kernel * 4 + x / kernel;
+                let place = y % kernel * kernel + x % kernel;
+                let of =
+                    |output: usize| squares[(pixel * outputs + output) * square + place].max(0.0);
+                want.extend((0..outputs).map(of));
+            }
+        }
+        for isa in Isa::available() {
+            let way = Transpose::new(isa, &weight, &bias, inputs, kernel).unwrap();
+            let x = Pixels::new(&layer.x, inputs);
+            let error = error(&way.run(images, x, Activation::Relu).unwrap(), &want);
+            assert!(error < 1e-6, "{inputs} {outputs} {kernel} {isa}: {error}");
+        }
+    }
+}
+
 /// Layers as networks have them, where errors grow with the channels.
 #[test]
 fn errors_with_many_channels() {
@@ -230,7 +337,7 @@ fn activation_and_residual_come_last() {
         let epilogue = Epilogue {
             bias: &layer.bias,
             activation: Activation::Selu,
-            residual: Some(&residual),
+            residual: Some(Pixels::new(&residual, layer.outputs)),
         };
         let selu = |x: f64| match x > 0.0 {
             true => Activation::SELU_SCALE * x,
@@ -263,12 +370,13 @@ fn results_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn the_way_suits_the_layer() {
     let isa = Isa::available()[0];
-    let way = |inputs, outputs, kernel: usize, fast| {
+    let strided = |inputs, outputs, kernel: usize, stride, fast| {
         let filter = Filter {
             values: &vec![0.0; inputs * outputs * kernel * kernel],
             outputs,
             inputs,
             kernel,
+            stride,
         };
         match Convolution::new(isa, filter, fast).unwrap() {
             Convolution::Winograd(_) => "winograd",
@@ -276,10 +384,13 @@ fn the_way_suits_the_layer() {
             Convolution::Shifted(_) => "shifted",
         }
     };
+    let way = |inputs, outputs, kernel, fast| strided(inputs, outputs, kernel, 1, fast);
     assert_eq!(way(6, 256, 3, true), "gathered");
     assert_eq!(way(64, 64, 3, false), "winograd");
     assert_eq!(way(64, 64, 5, true), "winograd");
     assert_eq!(way(256, 3, 3, true), "shifted");
     assert_eq!(way(64, 64, 1, true), "gathered");
     assert_eq!(way(64, 64, 7, true), "gathered");
+    assert_eq!(strided(64, 64, 3, 2, true), "gathered");
+    assert_eq!(strided(64, 3, 3, 2, true), "gathered");
 }

@@ -32,6 +32,11 @@ impl<'a> Panels<'a> {
         self.from(depth * self.width)
     }
 
+    /// The first panel.
+    pub(super) fn as_ptr(self) -> *const f32 {
+        self.data.as_ptr()
+    }
+
     /// Without the first `count` panels.
     pub(super) fn skip(self, count: usize) -> Self {
         self.from(count * self.stride)
@@ -85,51 +90,81 @@ impl Task for Block<'_> {
         #[repr(align(64))]
         struct Tile([f32; MAX_TILE]);
         let mut tile = Tile([0.0; MAX_TILE]);
+        let finish = Finish {
+            bias: self.bias,
+            activation: self.activation,
+            first: self.first,
+            last: self.last,
+        };
         for row in (0..self.rows).step_by(S::MR) {
-            let a = self.a.skip(row / S::MR).data.as_ptr();
+            let a = self.a.skip(row / S::MR).as_ptr();
             for column in (0..self.columns).step_by(S::NR) {
-                let b = self.b.skip(column / S::NR).data.as_ptr();
+                let b = self.b.skip(column / S::NR).as_ptr();
                 // SAFETY: by the contract of `Block::run`, panels have that depth; a tile is at most
                 // `MAX_TILE` numbers.
                 unsafe { simd.tile(self.depth, self.columns - column, a, b, tile.0.as_mut_ptr()) };
-                // SAFETY: row and column are inside.
-                unsafe { self.finish(simd, &tile.0, row, column) };
+                let rows = S::MR.min(self.rows - row);
+                let columns = S::NR.min(self.columns - column);
+                let c = |i: usize| self.c.wrapping_add((row + i) * self.stride + column);
+                let residual = (self.residual.as_ref())
+                    .map(|r| move |i: usize| r.row_pointer(row + i).wrapping_add(column));
+                // SAFETY: rows and columns are inside.
+                unsafe { finish.tile(simd, &tile.0, rows, columns, column, c, residual) };
             }
         }
     }
 }
 
-impl Block<'_> {
-    /// Brings the tile at `(row, column)` into `c`.
+/// What becomes of the tiles of a block.
+pub(super) struct Finish<'a> {
+    pub(super) bias: Option<&'a [f32]>,
+    pub(super) activation: Activation,
+    /// As in [`Block`].
+    pub(super) first: bool,
+    /// As in [`Block`].
+    pub(super) last: bool,
+}
+
+impl Finish<'_> {
+    /// Brings `rows` x `columns` of a tile to where `c` says for each row; `residual` likewise. The
+    /// tile's first column is `column` of the bias.
     ///
     /// The loops have no fixed bounds on purpose: unrolled, the compiler would keep less of a tile's
     /// sums in registers.
     ///
     /// # Safety
     ///
-    /// As for [`Self::run`]; `row` and `column` are inside.
+    /// There, the columns can be read and written, and nobody else does. The bias has them, too.
     #[inline(always)]
-    unsafe fn finish<S: Simd>(&self, simd: S, tile: &[f32; MAX_TILE], row: usize, column: usize) {
-        let columns = S::NR.min(self.columns - column);
-        for i in 0..S::MR.min(self.rows - row) {
+    #[expect(clippy::too_many_arguments, reason = "a tile and its place")]
+    pub(super) unsafe fn tile<S: Simd>(
+        &self,
+        simd: S,
+        tile: &[f32; MAX_TILE],
+        rows: usize,
+        columns: usize,
+        column: usize,
+        c: impl Fn(usize) -> *mut f32,
+        residual: Option<impl Fn(usize) -> *const f32>,
+    ) {
+        for i in 0..rows {
             for j in (0..columns).step_by(S::LANES) {
                 let count = S::LANES.min(columns - j);
-                let at = column + j;
-                // SAFETY: `count` numbers from column `at` on are inside of each matrix.
+                // SAFETY: `count` numbers from column `j` on are inside of each.
                 unsafe {
-                    let to = self.c.add((row + i) * self.stride + at);
+                    let to = c(i).add(j);
                     let mut x = simd.load(tile.as_ptr().add(i * S::NR + j));
                     if !self.first {
                         x = simd.add(simd.load_up_to(to, count), x);
                     }
                     if self.last {
                         if let Some(bias) = self.bias {
-                            x = simd.add(x, simd.load_up_to(bias.as_ptr().add(at), count));
+                            let bias = bias.as_ptr().add(column + j);
+                            x = simd.add(x, simd.load_up_to(bias, count));
                         }
                         x = activate(simd, self.activation, x);
-                        if let Some(residual) = &self.residual {
-                            let from = residual.row_pointer(row + i).add(at);
-                            x = simd.add(simd.load_up_to(from, count), x);
+                        if let Some(residual) = &residual {
+                            x = simd.add(simd.load_up_to(residual(i).add(j), count), x);
                         }
                     }
                     simd.store_up_to(to, count, x);

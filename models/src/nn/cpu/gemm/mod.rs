@@ -14,6 +14,7 @@ mod block;
 mod matrix;
 mod pack;
 mod parallel;
+mod scattered;
 #[cfg(test)]
 mod tests;
 
@@ -22,13 +23,13 @@ use candle_core::{Result, bail};
 use super::scratch::Scratch;
 use crate::nn::Activation;
 use block::{Block, Panels};
-use pack::pack_rows;
 
 pub use matrix::{Factor, Matrix, MatrixMut};
 pub use pack::PackedFactor;
-pub(in crate::nn::cpu) use pack::pack_lines;
+pub(in crate::nn::cpu) use pack::{pack_lines, pack_rows};
 pub use parallel::gemm;
 pub(in crate::nn::cpu) use parallel::gemm_into;
+pub(in crate::nn::cpu) use scattered::{Pieces, Scattered, Table};
 
 /// Depth of a block.
 const DEPTH: usize = 512;

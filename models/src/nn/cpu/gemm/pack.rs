@@ -101,7 +101,7 @@ pub(super) fn pack_factor(
 /// # Panics
 ///
 /// If `to` is too short.
-pub(super) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f32]) {
+pub(in crate::nn::cpu) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f32]) {
     isa.run(Rows {
         from: matrix.row_pointer(0),
         stride: matrix.stride(),

@@ -38,8 +38,10 @@ fn cases() -> impl Strategy<Value = Case> {
     let activation = prop::sample::select(vec![
         Activation::Identity,
         Activation::Gelu,
+        Activation::GeluTanh,
         Activation::Relu,
         Activation::Selu,
+        Activation::Silu,
     ]);
     let flags = any::<[bool; 4]>();
     (size(), size(), depth, 0_usize..3, flags, activation).prop_map(
@@ -63,9 +65,14 @@ fn activated(activation: Activation, x: f64) -> f64 {
     match activation {
         Activation::Identity => x,
         Activation::Gelu => x * 0.5 * (1.0 + candle_core::cpu::erf::erf_f64(x / 2_f64.sqrt())),
+        Activation::GeluTanh => {
+            let u = (2.0 / std::f64::consts::PI).sqrt() * (x + 0.044715 * x.powi(3));
+            0.5 * x * (1.0 + u.tanh())
+        }
         Activation::Relu => x.max(0.0),
         Activation::Selu if x > 0.0 => Activation::SELU_SCALE * x,
         Activation::Selu => Activation::SELU_SCALE * Activation::SELU_ALPHA * x.exp_m1(),
+        Activation::Silu => x / (1.0 + (-x).exp()),
     }
 }
 

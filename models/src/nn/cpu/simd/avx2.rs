@@ -2,7 +2,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{MAX_LANES, Simd, tile};
+use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
 /// Proof that the CPU has AVX2 and FMA.
 #[derive(Clone, Copy)]
@@ -52,6 +52,7 @@ impl Simd for Avx2 {
         add(a: V, b: V) = _mm256_add_ps;
         sub(a: V, b: V) = _mm256_sub_ps;
         mul(a: V, b: V) = _mm256_mul_ps;
+        div(a: V, b: V) = _mm256_div_ps;
         fma(a: V, b: V, c: V) = _mm256_fmadd_ps;
         fnma(a: V, b: V, c: V) = _mm256_fnmadd_ps;
         max(a: V, b: V) = _mm256_max_ps;
@@ -108,6 +109,12 @@ impl Simd for Avx2 {
             let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
             _mm_cvtss_f32(_mm_max_ss(two, _mm_movehdup_ps(two)))
         }
+    }
+
+    #[inline(always)]
+    fn prefetch(self, from: *const f32) {
+        // SAFETY: a hint, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) }
     }
 
     #[inline(always)]
@@ -174,6 +181,24 @@ impl Simd for Avx2 {
             match columns <= Self::LANES {
                 true => tile::<Self, 6, 1>(self, depth, a, b, out),
                 false => tile::<Self, 6, 2>(self, depth, a, b, out),
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn tile_of_pieces(
+        self,
+        pieces: &[Piece],
+        columns: usize,
+        a: *const *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile_of_pieces::<Self, 6, 1>(self, pieces, a, b, out),
+                false => tile_of_pieces::<Self, 6, 2>(self, pieces, a, b, out),
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{MAX_LANES, Simd, tile};
+use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
 /// Proof that the CPU has AVX-512 F and DQ.
 #[derive(Clone, Copy)]
@@ -48,6 +48,7 @@ impl Simd for Avx512 {
         add(a: V, b: V) = _mm512_add_ps;
         sub(a: V, b: V) = _mm512_sub_ps;
         mul(a: V, b: V) = _mm512_mul_ps;
+        div(a: V, b: V) = _mm512_div_ps;
         fma(a: V, b: V, c: V) = _mm512_fmadd_ps;
         fnma(a: V, b: V, c: V) = _mm512_fnmadd_ps;
         max(a: V, b: V) = _mm512_max_ps;
@@ -83,6 +84,12 @@ impl Simd for Avx512 {
     fn greatest(self, a: V) -> f32 {
         // SAFETY: `self` is proof of the instructions.
         unsafe { _mm512_reduce_max_ps(a) }
+    }
+
+    #[inline(always)]
+    fn prefetch(self, from: *const f32) {
+        // SAFETY: a hint, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) }
     }
 
     #[inline(always)]
@@ -163,6 +170,24 @@ impl Simd for Avx512 {
             match columns <= Self::LANES {
                 true => tile::<Self, 14, 1>(self, depth, a, b, out),
                 false => tile::<Self, 14, 2>(self, depth, a, b, out),
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn tile_of_pieces(
+        self,
+        pieces: &[Piece],
+        columns: usize,
+        a: *const *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            match columns <= Self::LANES {
+                true => tile_of_pieces::<Self, 14, 1>(self, pieces, a, b, out),
+                false => tile_of_pieces::<Self, 14, 2>(self, pieces, a, b, out),
             }
         }
     }

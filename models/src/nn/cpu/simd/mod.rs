@@ -21,6 +21,15 @@ pub(super) const MAX_LANES: usize = 16;
 /// The most elements that a tile has: [`Simd::MR`] times [`Simd::NR`].
 pub(super) const MAX_TILE: usize = 14 * 32;
 
+/// A part of one of the pieces that rows of a matrix consist of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Piece {
+    pub(super) index: usize,
+    /// Numbers of the piece before this part.
+    pub(super) start: usize,
+    pub(super) length: usize,
+}
+
 /// One instruction set's vectors.
 pub(super) trait Simd: Copy {
     /// [`Self::LANES`] numbers.
@@ -37,6 +46,7 @@ pub(super) trait Simd: Copy {
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
     fn sub(self, a: Self::V, b: Self::V) -> Self::V;
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    fn div(self, a: Self::V, b: Self::V) -> Self::V;
     /// `a b + c`, rounded once where the instructions can.
     fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// `c - a b`, rounded once where the instructions can.
@@ -56,6 +66,9 @@ pub(super) trait Simd: Copy {
     fn sum(self, a: Self::V) -> f32;
     /// The greatest of all lanes.
     fn greatest(self, a: Self::V) -> f32;
+
+    /// Brings the cache line of `from`, which may be anywhere, nearer.
+    fn prefetch(self, from: *const f32);
 
     /// # Safety
     ///
@@ -91,6 +104,21 @@ pub(super) trait Simd: Copy {
     /// `a` and `b` can be read and `out` written to those sizes.
     unsafe fn tile(self, depth: usize, columns: usize, a: *const f32, b: *const f32, out: *mut f32);
 
+    /// As [`Self::tile`], with a depth that is `pieces` one after the other: the numbers of row `i` in
+    /// the piece of an index are at `a[index * MR + i]`.
+    ///
+    /// # Safety
+    ///
+    /// `a` and the pieces can be read, `b` and `out` are as for [`Self::tile`].
+    unsafe fn tile_of_pieces(
+        self,
+        pieces: &[Piece],
+        columns: usize,
+        a: *const *const f32,
+        b: *const f32,
+        out: *mut f32,
+    );
+
     /// The first `count` lanes from memory, zeros in the others if it is less than a vector.
     ///
     /// # Safety
@@ -103,6 +131,39 @@ pub(super) trait Simd: Copy {
             match count == Self::LANES {
                 true => self.load(from),
                 false => self.load_part(from, count),
+            }
+        }
+    }
+
+    /// As [`Self::load`] if `WHOLE`, otherwise as [`Self::load_part`]: for loops over channels that end
+    /// with a part of a vector.
+    ///
+    /// # Safety
+    ///
+    /// As for these.
+    #[inline(always)]
+    unsafe fn load_of<const WHOLE: bool>(self, from: *const f32, count: usize) -> Self::V {
+        // SAFETY: as said.
+        unsafe {
+            match WHOLE {
+                true => self.load(from),
+                false => self.load_part(from, count),
+            }
+        }
+    }
+
+    /// As [`Self::store`] if `WHOLE`, otherwise as [`Self::store_part`].
+    ///
+    /// # Safety
+    ///
+    /// As for these.
+    #[inline(always)]
+    unsafe fn store_of<const WHOLE: bool>(self, to: *mut f32, count: usize, a: Self::V) {
+        // SAFETY: as said.
+        unsafe {
+            match WHOLE {
+                true => self.store(to, a),
+                false => self.store_part(to, count, a),
             }
         }
     }
@@ -160,4 +221,75 @@ unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
             unsafe { simd.store(out.add(i * S::NR + j * S::LANES), sum) };
         }
     }
+}
+
+/// [`Simd::tile_of_pieces`] for the first `NV` vectors of the columns.
+///
+/// # Safety
+///
+/// As for [`Simd::tile_of_pieces`].
+#[inline(always)]
+unsafe fn tile_of_pieces<S: Simd, const MR: usize, const NV: usize>(
+    simd: S,
+    pieces: &[Piece],
+    a: *const *const f32,
+    mut b: *const f32,
+    out: *mut f32,
+) {
+    let mut sums = [[simd.splat(0.0); NV]; MR];
+    for piece in pieces {
+        let mut rows = [b; MR];
+        for (i, row) in rows.iter_mut().enumerate() {
+            // SAFETY: the caller lets the pieces' places be read.
+            *row = unsafe { (*a.add(piece.index * MR + i)).add(piece.start) };
+        }
+        let mut p = 0;
+        while p + 4 <= piece.length {
+            for i in 0..4 {
+                // SAFETY: the caller lets the piece be read, and `b` to the depth of all pieces.
+                b = unsafe { step(simd, &mut sums, &rows, p + i, b) };
+            }
+            p += 4;
+        }
+        while p < piece.length {
+            // SAFETY: as above.
+            b = unsafe { step(simd, &mut sums, &rows, p, b) };
+            p += 1;
+        }
+    }
+    for (i, row) in sums.iter().enumerate() {
+        for (j, &sum) in row.iter().enumerate() {
+            // SAFETY: the caller lets `MR * NR` numbers be written at `out`.
+            unsafe { simd.store(out.add(i * S::NR + j * S::LANES), sum) };
+        }
+    }
+}
+
+/// Adds the products of number `p` of each row with a row of `b` to the sums; gives the next row of `b`.
+///
+/// # Safety
+///
+/// These can be read.
+#[inline(always)]
+unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
+    simd: S,
+    sums: &mut [[S::V; NV]; MR],
+    rows: &[*const f32; MR],
+    p: usize,
+    b: *const f32,
+) -> *const f32 {
+    let mut columns = [simd.splat(0.0); NV];
+    for (j, column) in columns.iter_mut().enumerate() {
+        // SAFETY: as the caller promises.
+        *column = unsafe { simd.load(b.add(j * S::LANES)) };
+    }
+    for (row, sums) in rows.iter().zip(sums) {
+        // SAFETY: as the caller promises.
+        let factor = simd.splat(unsafe { *row.add(p) });
+        for (sum, &column) in sums.iter_mut().zip(&columns) {
+            *sum = simd.fma(factor, column, *sum);
+        }
+    }
+    // Past the end after the last step.
+    b.wrapping_add(S::NR)
 }

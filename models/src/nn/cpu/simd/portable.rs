@@ -2,7 +2,7 @@
 
 use std::array::from_fn;
 
-use super::{MAX_LANES, Simd, tile};
+use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
 /// Plain Rust.
 #[derive(Clone, Copy)]
@@ -40,6 +40,11 @@ impl Simd for Portable {
     #[inline(always)]
     fn mul(self, a: V, b: V) -> V {
         zip(a, b, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn div(self, a: V, b: V) -> V {
+        zip(a, b, |a, b| a / b)
     }
 
     // `f32::mul_add` is a slow library call where the target has no such instruction.
@@ -109,6 +114,9 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
+    fn prefetch(self, _from: *const f32) {}
+
+    #[inline(always)]
     unsafe fn load(self, from: *const f32) -> V {
         // SAFETY: as the caller promises.
         unsafe { from.cast::<V>().read_unaligned() }
@@ -159,5 +167,18 @@ impl Simd for Portable {
     ) {
         // SAFETY: as the caller promises.
         unsafe { tile::<Self, 4, 1>(self, depth, a, b, out) }
+    }
+
+    #[inline(always)]
+    unsafe fn tile_of_pieces(
+        self,
+        pieces: &[Piece],
+        _columns: usize,
+        a: *const *const f32,
+        b: *const f32,
+        out: *mut f32,
+    ) {
+        // SAFETY: as the caller promises.
+        unsafe { tile_of_pieces::<Self, 4, 1>(self, pieces, a, b, out) }
     }
 }

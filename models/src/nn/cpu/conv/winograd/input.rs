@@ -2,7 +2,7 @@
 
 use super::output::Tile;
 use super::transform::Transform;
-use crate::nn::cpu::conv::Images;
+use crate::nn::cpu::conv::{Images, Pixels};
 use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::simd::Simd;
 
@@ -10,8 +10,7 @@ use crate::nn::cpu::simd::Simd;
 pub(super) struct Data<'a> {
     transform: &'a Transform,
     images: Images,
-    x: &'a [f32],
-    channels: usize,
+    x: Pixels<'a>,
     padding: usize,
     /// A pixel outside of the image.
     zeros: Vec<f32>,
@@ -22,37 +21,37 @@ impl<'a> Data<'a> {
     pub(super) fn new(
         transform: &'a Transform,
         images: Images,
-        x: &'a [f32],
-        channels: usize,
+        x: Pixels<'a>,
         padding: usize,
     ) -> Self {
         Self {
             transform,
             images,
             x,
-            channels,
             padding,
-            zeros: vec![0.0; channels],
+            zeros: vec![0.0; x.channels()],
         }
     }
 
-    /// Transforms the `N` x `N` data of each of `tiles` into rows of `planes`, of which there is one
-    /// for each point: there, a tile has its channels.
-    pub(super) fn transform<const N: usize, const M: usize>(
+    /// Transforms the `N` x `N` data of each of `tiles` into `to`: for each point, `plane` numbers apart,
+    /// the channels of tile after tile.
+    pub(super) fn transform<const N: usize>(
         &self,
         isa: Isa,
-        tiles: &[Tile<'_, M>],
-        planes: Vec<&mut [f32]>,
+        tiles: &[Tile],
+        plane: usize,
+        to: &mut [f32],
     ) {
-        isa.run(Forward::<N, M> {
+        isa.run(Forward::<N> {
             data: self,
             tiles,
-            planes,
+            plane,
+            to,
         });
     }
 
     /// The pixels that `tile` depends on.
-    fn window<const N: usize, const M: usize>(&self, tile: &Tile<'_, M>) -> [[&[f32]; N]; N] {
+    fn window<const N: usize>(&self, tile: Tile) -> [[&[f32]; N]; N] {
         let Images { height, width, .. } = self.images;
         let mut window = [[&self.zeros[..]; N]; N];
         for (i, row) in window.iter_mut().enumerate() {
@@ -64,7 +63,7 @@ impl<'a> Data<'a> {
             for (j, pixel) in row.iter_mut().enumerate() {
                 let x = (tile.left + j).wrapping_sub(self.padding);
                 if x < width {
-                    *pixel = &self.x[(row_start + x) * self.channels..][..self.channels];
+                    *pixel = self.x.pixel(row_start + x);
                 }
             }
         }
@@ -72,83 +71,73 @@ impl<'a> Data<'a> {
     }
 }
 
-struct Forward<'a, const N: usize, const M: usize> {
+struct Forward<'a, const N: usize> {
     data: &'a Data<'a>,
-    tiles: &'a [Tile<'a, M>],
-    planes: Vec<&'a mut [f32]>,
+    tiles: &'a [Tile],
+    plane: usize,
+    to: &'a mut [f32],
 }
 
-impl<const N: usize, const M: usize> Task for Forward<'_, N, M> {
+impl<const N: usize> Task for Forward<'_, N> {
     type Output = ();
 
     #[inline(always)]
-    fn run<S: Simd>(mut self, simd: S) {
-        let channels = self.data.channels;
-        assert_eq!(self.planes.len(), N * N);
-        for plane in &self.planes {
-            assert!(plane.len() >= self.tiles.len() * channels);
-        }
-        for (t, tile) in self.tiles.iter().enumerate() {
-            let window = self.data.window::<N, M>(tile);
+    fn run<S: Simd>(self, simd: S) {
+        let (plane, channels) = (self.plane, self.data.x.channels());
+        let transform = self.data.transform;
+        for (t, &tile) in self.tiles.iter().enumerate() {
+            let window = self.data.window::<N>(tile);
+            let to = &mut self.to[t * channels..];
+            assert!(to.len() >= (N * N - 1) * plane + channels);
+            let to = to.as_mut_ptr();
             let whole = channels - channels % S::LANES;
             for c in (0..whole).step_by(S::LANES) {
                 // SAFETY: pixels have `channels` numbers, and planes as many for each tile.
-                let load = |from: *const f32| unsafe { simd.load(from.add(c)) };
-                let store = |to: *mut f32, v| unsafe { simd.store(to.add(t * channels + c), v) };
-                block(
-                    simd,
-                    self.data.transform,
-                    &window,
-                    &mut self.planes,
-                    load,
-                    store,
-                );
+                unsafe {
+                    block::<S, N, true>(simd, transform, &window, to.add(c), plane, c, S::LANES);
+                }
             }
             if whole < channels {
-                let rest = channels - whole;
+                let (to, rest) = (to.wrapping_add(whole), channels - whole);
                 // SAFETY: as above.
-                let load = |from: *const f32| unsafe { simd.load_part(from.add(whole), rest) };
-                let store = |to: *mut f32, v| unsafe {
-                    simd.store_part(to.add(t * channels + whole), rest, v);
-                };
-                block(
-                    simd,
-                    self.data.transform,
-                    &window,
-                    &mut self.planes,
-                    load,
-                    store,
-                );
+                unsafe { block::<S, N, false>(simd, transform, &window, to, plane, whole, rest) };
             }
         }
     }
 }
 
-/// One vector of channels of one tile.
+/// `lanes` channels of one tile, a vector if `WHOLE`, from `channel` on, to each of the points in `to`.
+///
+/// # Safety
+///
+/// The pixels have these channels, and they can be written at `to` and all `plane` numbers after that.
 #[inline(always)]
-fn block<S: Simd, const N: usize>(
+unsafe fn block<S: Simd, const N: usize, const WHOLE: bool>(
     simd: S,
     transform: &Transform,
     window: &[[&[f32]; N]; N],
-    planes: &mut [&mut [f32]],
-    load: impl Fn(*const f32) -> S::V,
-    store: impl Fn(*mut f32, S::V),
+    to: *mut f32,
+    plane: usize,
+    channel: usize,
+    lanes: usize,
 ) {
     let mut half = [[simd.splat(0.0); N]; N];
     for j in 0..N {
         let mut column = [simd.splat(0.0); N];
         for (x, row) in column.iter_mut().zip(window) {
-            *x = load(row[j].as_ptr());
+            // SAFETY: as the caller promises.
+            *x = unsafe { simd.load_of::<WHOLE>(row[j].as_ptr().add(channel), lanes) };
         }
         let column = transform.data(simd, column);
         for (row, &x) in half.iter_mut().zip(&column) {
             row[j] = x;
         }
     }
-    for (row, planes) in half.into_iter().zip(planes.chunks_exact_mut(N)) {
+    for (i, row) in half.into_iter().enumerate() {
         let row = transform.data(simd, row);
-        for (plane, x) in planes.iter_mut().zip(row) {
-            store(plane.as_mut_ptr(), x);
+        for (j, x) in row.into_iter().enumerate() {
+            // SAFETY: as the caller promises.
+            unsafe { simd.store_of::<WHOLE>(to.add((i * N + j) * plane), lanes, x) };
         }
     }
 }

@@ -6,8 +6,9 @@
 //! multiplies 900 times, F(4x4, 3x3) 36 times for 144. The filters take `n^2 / k^2` times their
 //! memory.
 //!
-//! Tiles are processed in groups. A group's transformed data and products stay in the last level of
-//! cache, while what one point multiplies fits the second; the whole transformed image never exists.
+//! Tiles are processed in groups, each by one thread: it transforms the data, and for some outputs at a
+//! time multiplies and transforms back, so that products stay in the second cache. The whole
+//! transformed image never exists.
 
 mod input;
 mod output;
@@ -19,23 +20,23 @@ use rayon::prelude::*;
 
 pub(super) use points::Scheme;
 
-use super::{Epilogue, Filter, Images};
-use crate::nn::cpu::gemm::{self, Factor, Matrix, MatrixMut, PackedFactor, gemm_serial};
+use super::{Epilogue, Filter, Images, Pixels};
+use crate::nn::Activation;
+use crate::nn::cpu::gemm::{Factor, Matrix, PackedFactor, Pieces, Scattered, Table};
 use crate::nn::cpu::isa::Isa;
 use crate::nn::cpu::scratch::Scratch;
+use crate::nn::cpu::shared::Shared;
 use input::Data;
-use output::Outputs;
+use output::{Outputs, Tile};
 use transform::Transform;
 
-/// Bytes that a group's transformed data and products may take: well inside the last level of cache,
-/// beside the filters.
-const GROUP_BYTES: usize = 16 << 20;
-/// Tiles of a group at most. More would not use the filters any better once they are in the cache.
-const GROUP_TILES: usize = 112;
-/// Tiles of a group at least, so that reading the filters does not cost more than multiplying.
-const GROUP_TILES_LEAST: usize = 28;
-/// Tiles that a thread transforms before it takes the next ones.
-const TILES_AT_ONCE: usize = 8;
+/// Tiles of a group. The more, the less often the filters are read: from the last level of cache if they
+/// fit, where groups should rather be small enough for the second.
+const TILES: [(usize, usize); 2] = [(1 << 20, 24), (4 << 20, 48)];
+/// The same for filters of more bytes.
+const TILES_MOST: usize = 96;
+/// Outputs whose products exist at a time, a multiple of all tiles' columns.
+const OUTPUTS: usize = 64;
 /// Numbers between two points' matrices, beside their size: without, the same place in all of them
 /// would often fall into the same set of a cache.
 const GAP: usize = 16;
@@ -84,90 +85,150 @@ impl Winograd {
     }
 
     /// See [`super::Convolution::run`].
-    pub(super) fn run(
+    ///
+    /// # Safety
+    ///
+    /// As there.
+    pub(super) unsafe fn run(
         &self,
         images: Images,
-        x: &[f32],
+        x: Pixels<'_>,
         epilogue: Epilogue<'_>,
-        out: &mut [f32],
+        out: *mut f32,
     ) -> Result<()> {
-        match (self.scheme.products(), self.scheme.outputs) {
-            (4, 2) => self.run_sized::<4, 2>(images, x, epilogue, out),
-            (6, 2) => self.run_sized::<6, 2>(images, x, epilogue, out),
-            (6, 4) => self.run_sized::<6, 4>(images, x, epilogue, out),
-            (10, 6) => self.run_sized::<10, 6>(images, x, epilogue, out),
-            sizes => unreachable!("no scheme has these sizes: {sizes:?}"),
+        // SAFETY: as the caller promises.
+        unsafe {
+            match (self.scheme.products(), self.scheme.outputs) {
+                (4, 2) => self.run_sized::<4, 2>(images, x, epilogue, out),
+                (6, 2) => self.run_sized::<6, 2>(images, x, epilogue, out),
+                (6, 4) => self.run_sized::<6, 4>(images, x, epilogue, out),
+                (10, 6) => self.run_sized::<10, 6>(images, x, epilogue, out),
+                sizes => unreachable!("no scheme has these sizes: {sizes:?}"),
+            }
         }
     }
 
     /// For `N` data and `M` outputs of an axis.
-    fn run_sized<const N: usize, const M: usize>(
+    ///
+    /// # Safety
+    ///
+    /// As for [`Self::run`].
+    unsafe fn run_sized<const N: usize, const M: usize>(
         &self,
         images: Images,
-        x: &[f32],
+        x: Pixels<'_>,
         epilogue: Epilogue<'_>,
-        out: &mut [f32],
+        out: *mut f32,
     ) -> Result<()> {
-        let (inputs, outputs) = (self.inputs, self.outputs);
-        let data = Data::new(&self.transform, images, x, inputs, self.scheme.taps / 2);
-        let mut tiles = output::tiles::<M>(images, outputs, out);
-        let size = self.group_size(tiles.len());
-        let (data_plane, product_plane) = (size * inputs + GAP, size * outputs + GAP);
-        let mut transformed = Scratch::take(N * N * data_plane);
-        let mut products = Scratch::take(N * N * product_plane);
-        for group in tiles.chunks_mut(size) {
-            (group.par_chunks(TILES_AT_ONCE))
-                .zip(across(&mut transformed, data_plane, TILES_AT_ONCE * inputs))
-                .for_each(|(tiles, planes)| data.transform::<N, M>(self.isa, tiles, planes));
-            (products.par_chunks_mut(product_plane))
-                .zip(transformed.par_chunks(data_plane))
-                .zip(&self.filters)
-                .try_for_each(|((products, data), filters)| {
-                    gemm_serial(
-                        Matrix::new(data, group.len(), inputs, inputs)?,
-                        filters,
-                        MatrixMut::new(products, group.len(), outputs, outputs)?,
-                        &gemm::Epilogue::default(),
-                    )
-                })?;
-            let back = Outputs {
-                transform: &self.transform,
-                products: &products,
-                plane: product_plane,
-                channels: outputs,
-                image_row: images.width * outputs,
-                epilogue,
+        let data = Data::new(&self.transform, images, x, self.scheme.taps / 2);
+        let tiles = Tile::count(images, M);
+        let size = self.group_size(tiles);
+        let out = Shared(out);
+        (0..tiles.div_ceil(size)).into_par_iter().for_each(|i| {
+            let (first, last) = (i * size, ((i + 1) * size).min(tiles));
+            let group = (first..last).map(|index| Tile::at(images, M, index));
+            let group = Group {
+                layer: self,
+                images,
+                tiles: group.collect(),
+                plane: size * self.inputs + GAP,
             };
-            (group.par_chunks_mut(TILES_AT_ONCE))
-                .enumerate()
-                .for_each(|(i, tiles)| {
-                    back.transform::<N, M>(self.isa, i * TILES_AT_ONCE, tiles);
-                });
-        }
+            let mut transformed = Scratch::take(N * N * group.plane);
+            data.transform::<N>(self.isa, &group.tiles, group.plane, &mut transformed);
+            // SAFETY: each tile is in one group; and the caller's promises.
+            unsafe { group.multiply::<N, M>(&transformed, epilogue, out) };
+        });
         Ok(())
     }
 
     /// How many of `tiles` to take at a time.
     fn group_size(&self, tiles: usize) -> usize {
-        let bytes = self.scheme.products().pow(2) * (self.inputs + self.outputs) * size_of::<f32>();
-        let most = (GROUP_BYTES / bytes).clamp(GROUP_TILES_LEAST, GROUP_TILES);
+        let points = self.scheme.products().pow(2);
+        let bytes = points * self.inputs * self.outputs * size_of::<f32>();
+        let fitting = TILES.into_iter().find(|&(most, _)| bytes <= most);
+        let size = fitting.map_or(TILES_MOST, |(_, size)| size);
         let (rows, _) = self.isa.tile();
-        // Groups of equal size, in whole tiles of the matrix product.
-        tiles
-            .div_ceil(tiles.div_ceil(most))
-            .next_multiple_of(rows)
-            .min(tiles)
+        // No thread is without a group.
+        let shared = tiles.div_ceil(rayon::current_num_threads());
+        size.min(shared).next_multiple_of(rows)
     }
 }
 
-/// Parts of all planes: the first has the first `part` numbers of each plane, and so on.
-fn across(values: &mut [f32], plane: usize, part: usize) -> Vec<Vec<&mut [f32]>> {
-    let mut parts: Vec<Vec<&mut [f32]>> = Vec::new();
-    parts.resize_with(plane.div_ceil(part), Vec::new);
-    for plane in values.chunks_mut(plane) {
-        for (parts, part) in parts.iter_mut().zip(plane.chunks_mut(part)) {
-            parts.push(part);
+/// Tiles that are processed together.
+struct Group<'a> {
+    layer: &'a Winograd,
+    images: Images,
+    tiles: Vec<Tile>,
+    /// From one point's data to the next.
+    plane: usize,
+}
+
+impl Group<'_> {
+    /// The group's outputs, from its transformed data.
+    ///
+    /// # Safety
+    ///
+    /// As for [`Winograd::run`], for the pixels of these tiles.
+    unsafe fn multiply<const N: usize, const M: usize>(
+        &self,
+        transformed: &[f32],
+        epilogue: Epilogue<'_>,
+        out: Shared<f32>,
+    ) {
+        let Winograd {
+            isa,
+            inputs,
+            outputs,
+            ..
+        } = *self.layer;
+        let rows = self.tiles.len();
+        let pieces = Pieces::new([inputs]);
+        let tables: Vec<Table> = (transformed.chunks_exact(self.plane))
+            .map(|data| {
+                let mut table = Table::new(isa, 1, rows, data.as_ptr());
+                for (row, data) in data.chunks_exact(inputs).take(rows).enumerate() {
+                    table.set(row, 0, data.as_ptr());
+                }
+                table
+            })
+            .collect();
+        let (_, nr) = isa.tile();
+        let plane = rows * OUTPUTS + GAP;
+        let mut products = Scratch::take(N * N * plane);
+        for first in (0..outputs).step_by(OUTPUTS) {
+            let count = OUTPUTS.min(outputs - first);
+            for ((products, table), filter) in
+                (products.chunks_exact_mut(plane).zip(&tables)).zip(&self.layer.filters)
+            {
+                let start = products.as_mut_ptr().wrapping_sub(first);
+                let row = |i: usize| start.wrapping_add(i * OUTPUTS);
+                let c: Vec<*mut f32> = (0..rows).map(row).collect();
+                let product = Scattered {
+                    a: table,
+                    pieces: &pieces,
+                    b: filter,
+                    panels: first / nr..(first + count).div_ceil(nr),
+                    c: &c,
+                    bias: None,
+                    activation: Activation::Identity,
+                    residual: None,
+                };
+                // SAFETY: each tile has the inputs at each point, and room for these outputs.
+                unsafe { product.run() };
+            }
+            let back = Outputs {
+                transform: &self.layer.transform,
+                products: &products,
+                plane,
+                row: OUTPUTS,
+                first,
+                count,
+                images: self.images,
+                epilogue,
+                out,
+            };
+            // SAFETY: as the caller promises.
+            unsafe { back.transform::<N, M>(isa, &self.tiles) };
         }
     }
-    parts
 }

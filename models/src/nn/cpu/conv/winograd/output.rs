@@ -3,162 +3,156 @@
 use super::transform::Transform;
 use crate::nn::cpu::conv::{Epilogue, Images};
 use crate::nn::cpu::isa::{Isa, Task};
+use crate::nn::cpu::math::activate;
+use crate::nn::cpu::shared::Shared;
 use crate::nn::cpu::simd::Simd;
 
-/// `M` x `M` outputs.
-pub(super) struct Tile<'a, const M: usize> {
+/// A square of outputs, which may reach beyond the image to the right and below.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tile {
     pub(super) image: usize,
     pub(super) top: usize,
     pub(super) left: usize,
-    /// The first element of the first row, counted from the start of the images.
-    start: usize,
-    /// The elements that are inside of the image: rows are shorter, or empty, at its end.
-    rows: [&'a mut [f32]; M],
 }
 
-/// Cuts `out` into tiles, row by row.
-pub(super) fn tiles<const M: usize>(
-    images: Images,
-    channels: usize,
-    out: &mut [f32],
-) -> Vec<Tile<'_, M>> {
-    let row = images.width * channels;
-    let mut tiles = Vec::new();
-    for (image, out) in out.chunks_mut(images.height * row).enumerate() {
-        for (i, out) in out.chunks_mut(M * row).enumerate() {
-            let mut rows: Vec<_> = (out.chunks_mut(row))
-                .map(|row| row.chunks_mut(M * channels))
-                .collect();
-            for left in (0..images.width).step_by(M) {
-                let top = i * M;
-                let mut tile = Tile {
-                    image,
-                    top,
-                    left,
-                    start: ((image * images.height + top) * images.width + left) * channels,
-                    rows: std::array::from_fn(|_| Default::default()),
-                };
-                for (part, row) in tile.rows.iter_mut().zip(&mut rows) {
-                    *part = row.next().unwrap_or_default();
-                }
-                tiles.push(tile);
-            }
+impl Tile {
+    /// How many squares of `size` x `size` cover `images`.
+    pub(super) fn count(images: Images, size: usize) -> usize {
+        images.batch * images.height.div_ceil(size) * images.width.div_ceil(size)
+    }
+
+    /// The square of this index, row by row.
+    pub(super) fn at(images: Images, size: usize, index: usize) -> Self {
+        let (down, across) = (images.height.div_ceil(size), images.width.div_ceil(size));
+        let row = index / across;
+        Self {
+            image: row / down,
+            top: row % down * size,
+            left: index % across * size,
         }
     }
-    tiles
 }
 
 /// Products to transform back.
 #[derive(Clone, Copy)]
 pub(super) struct Outputs<'a> {
     pub(super) transform: &'a Transform,
-    /// A plane for each point: there, a tile has its channels.
+    /// A plane for each point: there, a tile has some of its channels.
     pub(super) products: &'a [f32],
     /// From one plane to the next.
     pub(super) plane: usize,
-    pub(super) channels: usize,
-    /// From one row of the images to the next.
-    pub(super) image_row: usize,
+    /// From one tile of a plane to the next.
+    pub(super) row: usize,
+    /// The first of these channels.
+    pub(super) first: usize,
+    /// How many they are.
+    pub(super) count: usize,
+    pub(super) images: Images,
     pub(super) epilogue: Epilogue<'a>,
+    /// Where the images' first element is.
+    pub(super) out: Shared<f32>,
 }
 
 impl Outputs<'_> {
-    /// Computes `tiles`, of which the first has row `first` of the planes.
-    pub(super) fn transform<const N: usize, const M: usize>(
+    /// Transforms the products of `tiles`.
+    ///
+    /// # Safety
+    ///
+    /// `out` can be written at the tiles' pixels, and nobody else does. The epilogue is for all
+    /// channels and pixels.
+    pub(super) unsafe fn transform<const N: usize, const M: usize>(
         &self,
         isa: Isa,
-        first: usize,
-        tiles: &mut [Tile<'_, M>],
+        tiles: &[Tile],
     ) {
         isa.run(Backward::<N, M> {
             outputs: *self,
-            first,
             tiles,
         });
     }
 }
 
-struct Backward<'a, 't, const N: usize, const M: usize> {
+struct Backward<'a, const N: usize, const M: usize> {
     outputs: Outputs<'a>,
-    first: usize,
-    tiles: &'a mut [Tile<'t, M>],
+    tiles: &'a [Tile],
 }
 
-impl<const N: usize, const M: usize> Task for Backward<'_, '_, N, M> {
+impl<const N: usize, const M: usize> Task for Backward<'_, N, M> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Outputs {
-            transform,
-            products,
-            plane,
-            channels,
-            image_row,
-            epilogue,
-        } = self.outputs;
-        let end = (self.first + self.tiles.len()) * channels;
-        assert!(products.len() >= (N * N - 1) * plane + end);
-        for (t, tile) in self.tiles.iter_mut().enumerate() {
-            let products = &products[(self.first + t) * channels..];
+        let outputs = self.outputs;
+        let channels = outputs.count;
+        for (t, &tile) in self.tiles.iter().enumerate() {
+            let products = &outputs.products[t * outputs.row..];
+            assert!(products.len() >= (N * N - 1) * outputs.plane + channels);
             let whole = channels - channels % S::LANES;
             for c in (0..whole).step_by(S::LANES) {
-                // SAFETY: each of the planes has the channels of this tile.
-                let load = |p: usize| unsafe { simd.load(products.as_ptr().add(p * plane + c)) };
-                let store = |to: &mut [f32], v| {
-                    let to = &mut to[c..c + S::LANES];
-                    // SAFETY: just made sure of.
-                    unsafe { simd.store(to.as_mut_ptr(), v) };
-                };
-                block::<S, N, M>(simd, transform, channels, &mut tile.rows, load, store);
+                // SAFETY: each of the planes has these channels of the tile, as have the pixels.
+                unsafe { outputs.block::<S, N, M, true>(simd, products, tile, c, S::LANES) };
             }
             if whole < channels {
                 let rest = channels - whole;
                 // SAFETY: as above.
-                let load = |p: usize| unsafe {
-                    simd.load_part(products.as_ptr().add(p * plane + whole), rest)
-                };
-                let store = |to: &mut [f32], v| {
-                    let to = &mut to[whole..channels];
-                    // SAFETY: that has `rest` numbers.
-                    unsafe { simd.store_part(to.as_mut_ptr(), rest, v) };
-                };
-                block::<S, N, M>(simd, transform, channels, &mut tile.rows, load, store);
-            }
-            // Rows below the image are empty.
-            let rows = tile.rows.iter_mut().enumerate();
-            for (i, row) in rows.filter(|(_, row)| !row.is_empty()) {
-                epilogue.finish(simd, tile.start + i * image_row, row);
+                unsafe { outputs.block::<S, N, M, false>(simd, products, tile, whole, rest) };
             }
         }
     }
 }
 
-/// One vector of channels of one tile.
-#[inline(always)]
-fn block<S: Simd, const N: usize, const M: usize>(
-    simd: S,
-    transform: &Transform,
-    channels: usize,
-    rows: &mut [&mut [f32]; M],
-    load: impl Fn(usize) -> S::V,
-    store: impl Fn(&mut [f32], S::V),
-) {
-    let mut half = [[simd.splat(0.0); N]; M];
-    for j in 0..N {
-        let mut column = [simd.splat(0.0); N];
-        for (i, product) in column.iter_mut().enumerate() {
-            *product = load(i * N + j);
+impl Outputs<'_> {
+    /// `lanes` channels of one tile, a vector if `WHOLE`, from `channel` of those in the planes on.
+    ///
+    /// # Safety
+    ///
+    /// The planes have them, and those of the tile's pixels can be written.
+    #[inline(always)]
+    unsafe fn block<S: Simd, const N: usize, const M: usize, const WHOLE: bool>(
+        &self,
+        simd: S,
+        products: &[f32],
+        tile: Tile,
+        channel: usize,
+        lanes: usize,
+    ) {
+        let Images { height, width, .. } = self.images;
+        let mut half = [[simd.splat(0.0); N]; M];
+        for j in 0..N {
+            let mut column = [simd.splat(0.0); N];
+            for (i, product) in column.iter_mut().enumerate() {
+                // SAFETY: as the caller promises.
+                *product = unsafe {
+                    let from = products.as_ptr().add((i * N + j) * self.plane + channel);
+                    simd.load_of::<WHOLE>(from, lanes)
+                };
+            }
+            let column: [S::V; M] = self.transform.outputs(simd, column);
+            for (row, &y) in half.iter_mut().zip(&column) {
+                row[j] = y;
+            }
         }
-        let column: [S::V; M] = transform.outputs(simd, column);
-        for (row, &y) in half.iter_mut().zip(&column) {
-            row[j] = y;
-        }
-    }
-    for (row, out) in half.into_iter().zip(rows) {
-        let pixels: [S::V; M] = transform.outputs(simd, row);
-        for (&pixel, out) in pixels.iter().zip(out.chunks_exact_mut(channels)) {
-            store(out, pixel);
+        let channels = self.epilogue.bias.len();
+        let first = self.first + channel;
+        let bias = self.epilogue.bias[first..first + lanes].as_ptr();
+        // SAFETY: just made sure of.
+        let bias = unsafe { simd.load_of::<WHOLE>(bias, lanes) };
+        for (i, row) in half.into_iter().enumerate().take(height - tile.top) {
+            let pixels: [S::V; M] = self.transform.outputs(simd, row);
+            let start = (tile.image * height + tile.top + i) * width + tile.left;
+            for (j, &pixel) in pixels.iter().enumerate().take(width - tile.left) {
+                let mut y = activate(simd, self.epilogue.activation, simd.add(pixel, bias));
+                if let Some(residual) = self.epilogue.residual {
+                    let from = residual.pixel(start + j)[first..first + lanes].as_ptr();
+                    // SAFETY: just made sure of.
+                    y = simd.add(y, unsafe { simd.load_of::<WHOLE>(from, lanes) });
+                }
+                // SAFETY: as the caller promises.
+                unsafe {
+                    let to = self.out.add((start + j) * channels + first);
+                    simd.store_of::<WHOLE>(to, lanes, y);
+                }
+            }
         }
     }
 }

@@ -14,8 +14,8 @@ pub trait Observer {
         Ok(())
     }
 
-    /// So many more multiply-adds are done, of those that [`super::Work::computed`] counts for a batch of
-    /// one.
+    /// So many more multiply-adds are done, of those that the network's `Work` counts as
+    /// computed for a batch of one.
     fn advance(&mut self, multiply_adds: f64) {
         let _ = multiply_adds;
     }

@@ -1,26 +1,16 @@
-//! What PyTorch's pickles say about tensors.
+//! A tensor, as PyTorch's pickles describe it.
 
 use safetensors::Dtype;
 
-use crate::error::excerpt;
 use crate::pickle::{Id, Node, Pickle};
 use crate::stored::MOST_DIMENSIONS;
 
-/// A state dict, and what is saved beside it.
-#[derive(Debug, Default)]
-pub(super) struct StateDict {
-    /// Names and tensors, as they come; of a name that occurs twice, the last counts.
-    pub(super) tensors: Vec<(String, View)>,
-    /// The call that makes the network, as the training script has it in `args.model`.
-    pub(super) constructor: Option<String>,
-}
-
 /// A tensor: a view of a storage.
 #[derive(Debug)]
-pub(super) struct View {
+pub(super) struct View<'a> {
     pub(super) dtype: Dtype,
     /// The storage's name in the archive.
-    pub(super) key: String,
+    pub(super) key: &'a str,
     /// How many elements the storage is said to have.
     pub(super) storage_elements: usize,
     /// The view's first element in the storage.
@@ -29,59 +19,23 @@ pub(super) struct View {
     pub(super) strides: Vec<usize>,
 }
 
-/// Finds the state dict: the value of `model` or `state_dict`, or else the whole.
-///
-/// Nothing else of the file is looked at but `args.model`; an optimiser's tensors are not.
+/// The tensor or parameter at `id`.
 ///
 /// # Errors
 ///
-/// What is wrong, as part of a message.
-pub(super) fn find(pickle: &Pickle<'_>) -> Result<StateDict, String> {
-    let root = pickle.root();
-    let Some(entries) = pickle.entries(root) else {
-        let what = pickle.describe(root);
-        return Err(format!("it holds {what} and no dictionary of tensors"));
+/// What is wrong with it, as part of a message.
+pub(super) fn view<'a>(pickle: &Pickle<'a>, id: Id) -> Result<View<'a>, String> {
+    let tensor = match pickle.call(id) {
+        // A parameter is a tensor, and whether it is trained, and attributes.
+        Some((
+            "torch._utils",
+            "_rebuild_parameter" | "_rebuild_parameter_with_state",
+            &[tensor, ..],
+        )) => tensor,
+        _ => id,
     };
-    let named = ["model", "state_dict"].iter().find_map(|key| {
-        let value = pickle.entry(root, key)?;
-        pickle.entries(value)
-    });
-    let tensors = named.unwrap_or(entries);
-    if tensors.is_empty() {
-        return Err("its dictionary of tensors is empty".to_owned());
-    }
-    let tensor = |&(key, value): &(Id, Id)| {
-        let Some(name) = pickle.text(key) else {
-            return Err(format!("{} names a tensor", pickle.describe(key)));
-        };
-        match view(pickle, value) {
-            Ok(view) => Ok((name.to_owned(), view)),
-            Err(problem) => Err(format!("tensor `{}`: {problem}", excerpt(name))),
-        }
-    };
-    Ok(StateDict {
-        tensors: tensors.iter().map(tensor).collect::<Result<_, _>>()?,
-        constructor: constructor(pickle),
-    })
-}
-
-/// `args.model`, where `args` is a namespace or a dictionary.
-fn constructor(pickle: &Pickle<'_>) -> Option<String> {
-    let args = pickle.entry(pickle.root(), "args")?;
-    let attributes = pickle.state(args).unwrap_or(args);
-    let model = pickle.entry(attributes, "model")?;
-    pickle.text(model).map(str::to_owned)
-}
-
-fn view(pickle: &Pickle<'_>, id: Id) -> Result<View, String> {
-    let arguments = match pickle.call(id) {
-        Some(("torch._utils", "_rebuild_tensor_v2", arguments)) => arguments,
-        // A parameter is a tensor and whether it is trained.
-        Some(("torch._utils", "_rebuild_parameter", &[tensor, ..])) => match pickle.call(tensor) {
-            Some(("torch._utils", "_rebuild_tensor_v2", arguments)) => arguments,
-            _ => return Err(format!("{} is no tensor", pickle.describe(tensor))),
-        },
-        _ => return Err(format!("{} is no tensor", pickle.describe(id))),
+    let Some(("torch._utils", "_rebuild_tensor_v2", arguments)) = pickle.call(tensor) else {
+        return Err(format!("{} is no tensor", pickle.describe(tensor)));
     };
     let &[storage, offset, shape, strides, ..] = arguments else {
         return Err("it lacks a shape".to_owned());
@@ -102,7 +56,7 @@ fn view(pickle: &Pickle<'_>, id: Id) -> Result<View, String> {
 }
 
 /// ('storage', its type, its name, the device that it was on, how many elements it has)
-fn storage_of(pickle: &Pickle<'_>, id: Id) -> Result<(Dtype, String, usize), String> {
+fn storage_of<'a>(pickle: &Pickle<'a>, id: Id) -> Result<(Dtype, &'a str, usize), String> {
     let bad = || "its storage is described in an unknown way".to_owned();
     let &Node::Persistent(description) = pickle.get(id) else {
         return Err(bad());
@@ -127,7 +81,7 @@ fn storage_of(pickle: &Pickle<'_>, id: Id) -> Result<(Dtype, String, usize), Str
         let kind = pickle.describe(kind);
         format!("its storage is {kind}, which is no type of numbers that is read")
     })?;
-    Ok((dtype, key.to_owned(), size(pickle, elements)?))
+    Ok((dtype, key, size(pickle, elements)?))
 }
 
 fn dtype(storage: &str) -> Option<Dtype> {

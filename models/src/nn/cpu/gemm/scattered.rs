@@ -1,0 +1,193 @@
+//! Products whose matrices are scattered: the rows of `A` lie in pieces wherever they are, those of `C`
+//! go wherever they belong. So convolutions multiply windows of an image without copying them first
+//! (Dukhan 2019, "The indirect convolution algorithm").
+
+use super::PackedFactor;
+use super::block::Finish;
+use crate::nn::Activation;
+use crate::nn::cpu::isa::{Isa, Task};
+use crate::nn::cpu::simd::{MAX_TILE, Piece, Simd};
+
+/// Depth of a block, at most: a panel of `B` then stays in half of the first cache.
+const DEPTH: usize = 256;
+
+/// Numbers in a line of a cache.
+const LINE: usize = 16;
+
+/// The lengths of the pieces that every row of `A` has, and how their depth is cut into blocks.
+pub(in crate::nn::cpu) struct Pieces {
+    count: usize,
+    /// Each block: where it begins in the depth, and its parts of pieces.
+    blocks: Vec<(usize, Vec<Piece>)>,
+}
+
+impl Pieces {
+    /// Of rows that consist of pieces of these lengths.
+    pub(in crate::nn::cpu) fn new(lengths: impl IntoIterator<Item = usize>) -> Self {
+        let (mut count, mut depth) = (0, 0);
+        let mut blocks: Vec<(usize, Vec<Piece>)> = Vec::new();
+        let mut room = 0;
+        for (index, length) in lengths.into_iter().enumerate() {
+            count += 1;
+            // Parts of about equal length.
+            let parts = length.div_ceil(DEPTH).max(1);
+            for part in 0..parts {
+                let (start, end) = (length * part / parts, length * (part + 1) / parts);
+                let piece = Piece {
+                    index,
+                    start,
+                    length: end - start,
+                };
+                match blocks.last_mut() {
+                    Some((_, pieces)) if piece.length <= room => pieces.push(piece),
+                    _ => {
+                        blocks.push((depth, vec![piece]));
+                        room = DEPTH;
+                    }
+                }
+                room = room.saturating_sub(piece.length);
+                depth += piece.length;
+            }
+        }
+        Self { count, blocks }
+    }
+
+    /// How many pieces a row has.
+    pub(in crate::nn::cpu) fn count(&self) -> usize {
+        self.count
+    }
+}
+
+/// Where the pieces of some rows of `A` lie, in the order of use: for each group of a tile's rows,
+/// piece after piece, row after row.
+pub(in crate::nn::cpu) struct Table {
+    /// Rows of a tile.
+    tile: usize,
+    pieces: usize,
+    pointers: Vec<*const f32>,
+}
+
+impl Table {
+    /// For as many rows as `rows`, all pieces of which lie at `nowhere` at first.
+    pub(in crate::nn::cpu) fn new(
+        isa: Isa,
+        pieces: usize,
+        rows: usize,
+        nowhere: *const f32,
+    ) -> Self {
+        let (tile, _) = isa.tile();
+        Self {
+            tile,
+            pieces,
+            pointers: vec![nowhere; rows.next_multiple_of(tile) * pieces],
+        }
+    }
+
+    /// Puts a piece of a row somewhere.
+    pub(in crate::nn::cpu) fn set(&mut self, row: usize, piece: usize, to: *const f32) {
+        let group = row / self.tile * self.pieces + piece;
+        self.pointers[group * self.tile + row % self.tile] = to;
+    }
+}
+
+impl Table {
+    /// Brings a tile's rows, from `row` on, as far as there are any, into the caches.
+    #[inline(always)]
+    fn prefetch<S: Simd>(&self, simd: S, pieces: &[Piece], row: usize) {
+        let Some(pointers) = self.pointers.get(row * self.pieces..) else {
+            return;
+        };
+        for piece in pieces {
+            let start = (piece.index * S::MR).min(pointers.len());
+            for from in pointers[start..].iter().take(S::MR) {
+                for at in (piece.start..piece.start + piece.length).step_by(LINE) {
+                    simd.prefetch(from.wrapping_add(at));
+                }
+            }
+        }
+    }
+}
+
+/// A product with scattered rows.
+pub(in crate::nn::cpu) struct Scattered<'a> {
+    pub(in crate::nn::cpu) a: &'a Table,
+    pub(in crate::nn::cpu) pieces: &'a Pieces,
+    pub(in crate::nn::cpu) b: &'a PackedFactor,
+    /// Panels of `B` to multiply with.
+    pub(in crate::nn::cpu) panels: std::ops::Range<usize>,
+    /// Where the first column of each row of `C` goes, if it is among the panels' columns.
+    pub(in crate::nn::cpu) c: &'a [*mut f32],
+    pub(in crate::nn::cpu) bias: Option<&'a [f32]>,
+    pub(in crate::nn::cpu) activation: Activation,
+    /// Where the rows that are added last begin; as many.
+    pub(in crate::nn::cpu) residual: Option<&'a [*const f32]>,
+}
+
+impl Scattered<'_> {
+    /// Computes the product on the calling thread.
+    ///
+    /// # Safety
+    ///
+    /// The table has as many rows as `C` and these pieces, and each piece can be read for its length,
+    /// which together are the depth of `B`. Rows of `C` can be written, and the residual read, in the
+    /// columns of the panels, and nobody else does. The bias has all columns of `B`.
+    pub(in crate::nn::cpu) unsafe fn run(self) {
+        self.b.isa().run(self);
+    }
+}
+
+impl Task for Scattered<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        #[repr(align(64))]
+        struct Tile([f32; MAX_TILE]);
+        let mut tile = Tile([0.0; MAX_TILE]);
+        let last = self.pieces.blocks.len().saturating_sub(1);
+        for (i, (depth, pieces)) in self.pieces.blocks.iter().enumerate() {
+            let finish = Finish {
+                bias: self.bias,
+                activation: self.activation,
+                first: i == 0,
+                last: i == last,
+            };
+            let b = self.b.panels().at_depth(*depth);
+            // Of a panel of `B`.
+            let numbers = S::NR * pieces.iter().map(|piece| piece.length).sum::<usize>();
+            let groups = self.c.len().div_ceil(S::MR);
+            for panel in self.panels.clone() {
+                let column = panel * S::NR;
+                let columns = (self.b.columns() - column).min(S::NR);
+                let next = panel + 1;
+                let following = (next < self.panels.end).then(|| b.skip(next).as_ptr());
+                let b = b.skip(panel).as_ptr();
+                for (i, c) in self.c.chunks(S::MR).enumerate() {
+                    let row = i * S::MR;
+                    let a = self.a.pointers[row * self.a.pieces..].as_ptr();
+                    for &c in c {
+                        simd.prefetch(c.wrapping_add(column));
+                    }
+                    if let Some(b) = following {
+                        // Each tile brings its share of the next panel into the second cache.
+                        let share = |i: usize| numbers * i / groups / LINE * LINE;
+                        for at in (share(i)..share(i + 1)).step_by(LINE) {
+                            simd.prefetch(b.wrapping_add(at));
+                        }
+                    }
+                    if panel == self.panels.start {
+                        // The first panel brings the rows of the next tile, which others find there.
+                        self.a.prefetch(simd, pieces, row + S::MR);
+                    }
+                    // SAFETY: by the contract of `Scattered::run`.
+                    unsafe { simd.tile_of_pieces(pieces, columns, a, b, tile.0.as_mut_ptr()) };
+                    let to = |i: usize| c[i].wrapping_add(column);
+                    let residual = (self.residual)
+                        .map(|all| move |i: usize| all[row + i].wrapping_add(column));
+                    // SAFETY: rows and columns are inside.
+                    unsafe { finish.tile(simd, &tile.0, c.len(), columns, column, to, residual) };
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Pooling and resizing: rows first, into one row that stays in the cache, then pixels.
+
+use candle_core::{Device, Result, Tensor};
+use rayon::prelude::*;
+
+use super::isa::Task;
+use super::scratch::Scratch;
+use super::shared::{Shared, filled};
+use super::simd::Simd;
+use super::{HostTensor, Isa};
+
+/// How the numbers along an axis come from `N` numbers each: which, and their shares.
+pub(in crate::nn) type Taps<const N: usize> = Vec<[(usize, f32); N]>;
+
+/// `x` (batch, height, width, channels), f32 on the CPU, at another size: `rows` has the taps of each
+/// row of the result, `columns` those of each pixel of a row.
+///
+/// # Errors
+///
+/// Those of candle.
+///
+/// # Panics
+///
+/// If a tap is outside of `x`.
+pub(in crate::nn) fn resize<const N: usize>(
+    isa: Isa,
+    x: &Tensor,
+    rows: &Taps<N>,
+    columns: &Taps<N>,
+) -> Result<Tensor> {
+    let (batch, height, width, channels) = x.dims4()?;
+    assert!(rows.iter().flatten().all(|&(tap, _)| tap < height));
+    assert!(columns.iter().flatten().all(|&(tap, _)| tap < width));
+    let contiguous = x.contiguous()?;
+    let host = HostTensor::new(&contiguous)?;
+    let from = &host.data()?[..x.elem_count()];
+    let size = width * channels;
+    let to = columns.len() * channels;
+    let values = by_rows(batch * rows.len(), to, |row, out| {
+        let image = &from[row / rows.len() * height * size..][..height * size];
+        let lines =
+            rows[row % rows.len()].map(|(tap, share)| (&image[tap * size..][..size], share));
+        isa.run(Weigh {
+            lines,
+            columns,
+            channels,
+            out,
+        });
+    });
+    let shape = (batch, rows.len(), columns.len(), channels);
+    Tensor::from_vec(values, shape, &Device::Cpu)
+}
+
+/// The greatest of each channel of `x` (batch, height, width, channels), f32 on the CPU, in the window of
+/// `kernel` x `kernel` around each pixel, as far as it is inside.
+///
+/// # Errors
+///
+/// Those of candle.
+pub(in crate::nn) fn max_pool(isa: Isa, x: &Tensor, kernel: usize) -> Result<Tensor> {
+    let (batch, height, width, channels) = x.dims4()?;
+    let contiguous = x.contiguous()?;
+    let host = HostTensor::new(&contiguous)?;
+    let from = &host.data()?[..x.elem_count()];
+    let size = width * channels;
+    let values = by_rows(batch * height, size, |row, out| {
+        let y = row % height;
+        let first = row - y.min(kernel / 2);
+        let last = row + (height - 1 - y).min(kernel / 2);
+        isa.run(Greatest {
+            lines: &from[first * size..(last + 1) * size],
+            radius: kernel / 2,
+            width,
+            channels,
+            out,
+        });
+    });
+    Tensor::from_vec(values, x.shape(), &Device::Cpu)
+}
+
+/// `rows` rows of `size` numbers, each of which `write` writes through the pointer that it gets.
+fn by_rows(rows: usize, size: usize, write: impl Fn(usize, *mut f32) + Sync) -> Vec<f32> {
+    let all = |out: *mut f32| {
+        let out = Shared(out);
+        (0..rows)
+            .into_par_iter()
+            .with_min_len((1 << 13) / size.max(1) + 1)
+            .for_each(|row| write(row, out.add(row * size)));
+        Ok::<_, std::convert::Infallible>(())
+    };
+    // SAFETY: all rows are written, each once.
+    let Ok(values) = unsafe { filled(rows * size, all) };
+    values
+}
+
+/// A row of weighted sums.
+struct Weigh<'a, const N: usize> {
+    /// Rows of equal length, and their shares.
+    lines: [(&'a [f32], f32); N],
+    columns: &'a Taps<N>,
+    channels: usize,
+    /// Has room for the channels of each column.
+    out: *mut f32,
+}
+
+impl<const N: usize> Task for Weigh<'_, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let size = self.lines[0].0.len();
+        let mut line = Scratch::take(size);
+        for i in (0..size).step_by(S::LANES) {
+            let count = S::LANES.min(size - i);
+            let taps = self.lines.map(|(line, share)| (line[i..].as_ptr(), share));
+            // SAFETY: `count` numbers of the line follow.
+            unsafe { simd.store_up_to(line.as_mut_ptr().add(i), count, sum(simd, taps, count)) };
+        }
+        for (x, taps) in self.columns.iter().enumerate() {
+            for c in (0..self.channels).step_by(S::LANES) {
+                let count = S::LANES.min(self.channels - c);
+                let taps =
+                    taps.map(|(tap, share)| (line[tap * self.channels + c..].as_ptr(), share));
+                // SAFETY: `count` channels of the pixel follow.
+                unsafe {
+                    let to = self.out.add(x * self.channels + c);
+                    simd.store_up_to(to, count, sum(simd, taps, count));
+                }
+            }
+        }
+    }
+}
+
+/// The weighted sum of `count` numbers of each of `taps`.
+///
+/// # Safety
+///
+/// They can be read.
+#[inline(always)]
+unsafe fn sum<S: Simd, const N: usize>(
+    simd: S,
+    taps: [(*const f32, f32); N],
+    count: usize,
+) -> S::V {
+    let mut sum = simd.splat(0.0);
+    for (from, share) in taps {
+        // SAFETY: as the caller promises.
+        sum = simd.fma(
+            simd.splat(share),
+            unsafe { simd.load_up_to(from, count) },
+            sum,
+        );
+    }
+    sum
+}
+
+/// A row of greatest numbers.
+struct Greatest<'a> {
+    /// Rows of `width` pixels.
+    lines: &'a [f32],
+    radius: usize,
+    width: usize,
+    channels: usize,
+    /// Has room for a row.
+    out: *mut f32,
+}
+
+impl Task for Greatest<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let size = self.width * self.channels;
+        let mut line = Scratch::take(size);
+        for i in (0..size).step_by(S::LANES) {
+            let count = S::LANES.min(size - i);
+            let mut most = simd.splat(f32::NEG_INFINITY);
+            for from in self.lines.chunks_exact(size) {
+                // SAFETY: `count` numbers of the row follow.
+                most = simd.max(most, unsafe { simd.load_up_to(from[i..].as_ptr(), count) });
+            }
+            // SAFETY: as above.
+            unsafe { simd.store_up_to(line.as_mut_ptr().add(i), count, most) };
+        }
+        for x in 0..self.width {
+            let (first, last) = (
+                x.saturating_sub(self.radius),
+                (x + self.radius).min(self.width - 1),
+            );
+            for c in (0..self.channels).step_by(S::LANES) {
+                let count = S::LANES.min(self.channels - c);
+                let mut most = simd.splat(f32::NEG_INFINITY);
+                for pixel in first..=last {
+                    let from = line[pixel * self.channels + c..].as_ptr();
+                    // SAFETY: `count` channels of the pixel follow.
+                    most = simd.max(most, unsafe { simd.load_up_to(from, count) });
+                }
+                // SAFETY: as above.
+                unsafe { simd.store_up_to(self.out.add(x * self.channels + c), count, most) };
+            }
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! How fast the networks run on this machine.
+
+mod mvdust3r;
+
+use crate::{
+    Error, Result,
+    error::network_problem,
+    machine::{forget_peak_memory, peak_memory},
+    progress::Progress,
+};
+use candle_core::Device;
+use clap::builder::PossibleValuesParser;
+use serde::Serialize;
+use std::{str::FromStr, time::Instant};
+use tid3r_models::{Weights, nn::cpu::measured_peak_flops};
+use tid3r_weights_convert::{Config, Found, Network, synth};
+
+/// What is measured.
+#[derive(Clone, Debug, PartialEq, clap::Args, Serialize)]
+pub struct BenchParams {
+    /// The network
+    #[arg(long, value_name = "NAME",
+          value_parser = PossibleValuesParser::new(Network::all().iter().map(|network| network.name)))]
+    pub model: String,
+    /// Numbers of photos that MV-DUSt3R(+) sees at once, each measured by itself [default: 2,4,8]
+    #[arg(long, value_name = "N,..", value_delimiter = ',',
+          value_parser = clap::value_parser!(u32).range(2..=200))]
+    pub views: Vec<u32>,
+    /// Size of the pictures: multiples of 16 for MV-DUSt3R(+) [default: 224x224]
+    #[arg(long, value_name = "WxH")]
+    pub size: Option<Size>,
+    /// Type of the numbers that are computed with
+    #[arg(long, value_enum, value_name = "TYPE", default_value_t)]
+    pub dtype: BenchDtype,
+    /// Timed runs, after one that is not timed; the median counts
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub runs: u32,
+    /// Run the Gaussian heads of MV-DUSt3R(+), too
+    #[arg(long)]
+    pub gaussians: bool,
+    /// Give the outputs of all paths of MV-DUSt3R+, not only of the first
+    #[arg(long)]
+    pub all_paths: bool,
+}
+
+/// Types that networks can compute with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BenchDtype {
+    /// Single precision
+    #[default]
+    F32,
+}
+
+/// Width and height, written with an x between.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Size {
+    /// Pixels from left to right.
+    pub width: u32,
+    /// Pixels from top to bottom.
+    pub height: u32,
+}
+
+impl Size {
+    /// Its sides, each of which must be a multiple of `step`.
+    fn in_steps_of(self, step: u32) -> Result<(usize, usize)> {
+        if self.width.is_multiple_of(step) && self.height.is_multiple_of(step) {
+            return Ok((self.width as usize, self.height as usize));
+        }
+        Err(Error::request(
+            format!("the network cannot see pictures of {self}"),
+            format!("give sides that are multiples of {step}"),
+        ))
+    }
+}
+
+impl std::fmt::Display for Size {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides = text.split_once(['x', 'X']).and_then(|(width, height)| {
+            let side = |text: &str| {
+                let side = text.trim().parse().ok();
+                side.filter(|side| (16..=4096).contains(side))
+            };
+            Some((side(width)?, side(height)?))
+        });
+        match sides {
+            Some((width, height)) => Ok(Self { width, height }),
+            None => Err(format!(
+                "'{text}' is no size such as 224x224, with sides from 16 to 4096"
+            )),
+        }
+    }
+}
+
+/// One measurement.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BenchRow {
+    /// The network.
+    pub model: &'static str,
+    /// How much it had to do.
+    #[serde(flatten)]
+    pub load: Load,
+    /// Type of the numbers.
+    pub dtype: BenchDtype,
+    /// Worker threads.
+    pub threads: usize,
+    /// Seconds of each timed run.
+    pub seconds: Vec<f64>,
+    /// Their median; of an even number, the mean of the middle two.
+    pub median_seconds: f64,
+    /// The most memory that the process had at once in any run, in bytes, weights included; `None`
+    /// where the system does not say.
+    pub peak_memory_bytes: Option<u64>,
+    /// Operations a second, in 10^9: two for each multiply-add of the network, convolutions counted as
+    /// sums over their kernels, however they are computed.
+    pub gflops: f64,
+    /// The share of the machine's measured peak that the operations reach that are really computed.
+    pub share_of_peak: f64,
+}
+
+/// What a network had to do in one run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Load {
+    /// Photos that it saw at once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub views: Option<u32>,
+    /// Size of the pictures.
+    pub size: Size,
+}
+
+impl std::fmt::Display for Load {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if let Some(views) = self.views {
+            write!(f, "{views} views, ")?;
+        }
+        write!(f, "{}", self.size)
+    }
+}
+
+/// Something to be timed.
+struct Trial {
+    load: Load,
+    /// Multiply-adds by the network's definition.
+    defined: f64,
+    /// Multiply-adds that are really computed.
+    computed: f64,
+    run: Box<dyn Fn() -> candle_core::Result<()>>,
+}
+
+/// Measures a network on made-up pictures, with weights that were `found`, or made-up ones of full size:
+/// speed does not depend on them.
+///
+/// # Errors
+/// When the weights are of another network or damaged, or the network cannot run at this size.
+pub fn run(
+    params: &BenchParams,
+    found: Option<&Found>,
+    progress: &dyn Progress,
+) -> Result<Vec<BenchRow>> {
+    let network = Network::named(&params.model)?;
+    let threads = rayon::current_num_threads();
+    let peak = measured_peak_flops(threads).map_err(failed)?;
+    let source = Source::new(network, found, progress)?;
+    let trials = match source.config.clone() {
+        Config::MvDust3r(config) => mvdust3r::trials(params, &config, &source)?,
+        _ => {
+            return Err(Error::request(
+                format!("{} cannot be measured by itself", network.title),
+                "choose a network that reconstructs",
+            ));
+        }
+    };
+    let rows = trials.iter().map(|trial| {
+        let row = measure(trial, network, params, (threads, peak), progress);
+        progress.end();
+        row.map_err(failed)
+    });
+    rows.collect()
+}
+
+fn failed(error: candle_core::Error) -> Error {
+    Error::request(
+        format!(
+            "the network cannot be measured: {}",
+            network_problem(&error)
+        ),
+        "choose another size or other weights",
+    )
+}
+
+/// Where weights come from.
+struct Source<'a> {
+    found: Option<&'a Found>,
+    config: Config,
+    progress: &'a dyn Progress,
+}
+
+impl<'a> Source<'a> {
+    fn new(
+        network: &'static Network,
+        found: Option<&'a Found>,
+        progress: &'a dyn Progress,
+    ) -> Result<Self> {
+        let config = match found {
+            None => network.released(),
+            Some(found) if found.network == network => found.file.config.clone(),
+            Some(found) => {
+                return Err(Error::file(
+                    &found.folder,
+                    format!("holds weights of {}", found.network.title),
+                    format!("give weights of {}, or none", network.title),
+                ));
+            }
+        };
+        Ok(Self {
+            found,
+            config,
+            progress,
+        })
+    }
+
+    /// The weights; made-up ones are made as they are asked for.
+    fn weights(&self) -> Result<Weights> {
+        const SEED: u64 = 42;
+        match self.found {
+            Some(found) => Weights::open(&found.weights, &Device::Cpu).map_err(failed),
+            None => {
+                self.progress.note("making up weights of full size");
+                let make = |name: &str, shape: &[usize]| synth::tensor(name, shape, SEED);
+                Ok(Weights::from_fn(make, &Device::Cpu))
+            }
+        }
+    }
+}
+
+fn measure(
+    trial: &Trial,
+    network: &'static Network,
+    params: &BenchParams,
+    (threads, peak): (usize, f64),
+    progress: &dyn Progress,
+) -> candle_core::Result<BenchRow> {
+    progress.begin(&trial.load.to_string(), 1 + params.runs as usize);
+    forget_peak_memory();
+    let mut seconds = Vec::new();
+    for run in 0..=params.runs {
+        let start = Instant::now();
+        (trial.run)()?;
+        if run > 0 {
+            seconds.push(start.elapsed().as_secs_f64());
+        }
+        progress.advance(1);
+    }
+    let median_seconds = median(&seconds);
+    Ok(BenchRow {
+        model: network.name,
+        load: trial.load,
+        dtype: params.dtype,
+        threads,
+        median_seconds,
+        seconds,
+        peak_memory_bytes: peak_memory(),
+        gflops: 2.0 * trial.defined / median_seconds / 1e9,
+        share_of_peak: 2.0 * trial.computed / median_seconds / peak,
+    })
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted.len() / 2;
+    match sorted.len() % 2 {
+        _ if sorted.is_empty() => f64::NAN,
+        0 => (sorted[middle - 1] + sorted[middle]) / 2.0,
+        _ => sorted[middle],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians() {
+        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
+    }
+
+    #[test]
+    fn sizes_have_two_sides() {
+        let size = Size {
+            width: 320,
+            height: 224,
+        };
+        assert_eq!("320x224".parse(), Ok(size));
+        for text in ["224", "0x16", "224x", "axb", "5000x16"] {
+            assert!(text.parse::<Size>().is_err(), "{text}");
+        }
+        assert_eq!(size.in_steps_of(16).unwrap(), (320, 224));
+        assert!(size.in_steps_of(64).is_err());
+    }
+}

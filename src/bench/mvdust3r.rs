@@ -1,0 +1,68 @@
+//! MV-DUSt3R and MV-DUSt3R+.
+
+use super::{BenchParams, Load, Size, Source, Trial, failed};
+use crate::Result;
+use candle_core::{Device, Tensor};
+use std::rc::Rc;
+use tid3r_models::mvdust3r::{Config, MvDust3r, Options, Paths, Unobserved, Work};
+use tid3r_weights_convert::synth;
+
+/// A trial for each number of photos.
+pub(super) fn trials(
+    params: &BenchParams,
+    config: &Config,
+    source: &Source<'_>,
+) -> Result<Vec<Trial>> {
+    const VIEWS: [u32; 3] = [2, 4, 8];
+    const SIZE: Size = Size {
+        width: 224,
+        height: 224,
+    };
+    let config = Config {
+        gs: config.gs && (params.gaussians || source.found.is_some()),
+        ..config.clone()
+    };
+    let size = params.size.unwrap_or(SIZE);
+    let (width, height) = size.in_steps_of(config.patch_size as u32)?;
+    let network = MvDust3r::new(&config, &source.weights()?).map_err(failed)?;
+    let network = Rc::new(network);
+    let options = Options {
+        paths: match params.all_paths {
+            true => Paths::All,
+            false => Paths::First,
+        },
+        gaussians: params.gaussians,
+        ..Options::default()
+    };
+    let views = match params.views.is_empty() {
+        true => &VIEWS[..],
+        false => &params.views,
+    };
+    let trial = |&views: &u32| {
+        let shape = [views as usize, 1, 3, height, width];
+        let images = Tensor::from_vec(synth::input("img", &shape), &shape, &Device::Cpu);
+        let images = images.map_err(failed)?;
+        let work = Work::new(
+            &config,
+            views as usize,
+            (height, width),
+            options.paths,
+            options.gaussians,
+        );
+        let (network, options) = (Rc::clone(&network), options.clone());
+        Ok(Trial {
+            load: Load {
+                views: Some(views),
+                size,
+            },
+            defined: work.total(),
+            computed: work.computed(),
+            run: Box::new(move || {
+                network
+                    .forward(&images, &options, &mut Unobserved)
+                    .map(drop)
+            }),
+        })
+    };
+    views.iter().map(trial).collect()
+}

@@ -1,0 +1,117 @@
+use super::{Letterbox, MobileSamParams, Networks, SamFrame};
+use crate::{
+    Error, Result,
+    error::network_problem,
+    machine::{available_memory, readable_bytes, readable_seconds},
+};
+use tid3r_models::{
+    mobilesamv2::{ImageEncoder, decoder, detector, efficient_vit, tiny_vit, vit},
+    nn::cpu::measured_peak_flops,
+};
+
+/// The share of the machine's best that the networks reach, by experience.
+const REACHED: f64 = 0.35;
+/// Objects that a photo of a room has, by experience.
+const OBJECTS: usize = 60;
+/// Taken by the program itself.
+const PROGRAM_BYTES: usize = 60_000_000;
+
+/// What a picture takes on this machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PictureEstimate {
+    /// Seconds, about.
+    seconds: f64,
+    /// Bytes, about, at the most at a time.
+    bytes: u64,
+}
+
+impl PictureEstimate {
+    /// For a square picture with as many objects as rooms have: how many there are is known late.
+    ///
+    /// # Errors
+    /// When the machine cannot be measured.
+    pub(super) fn new(networks: &Networks, params: &MobileSamParams) -> Result<Self> {
+        let estimate = || {
+            let peak = measured_peak_flops(rayon::current_num_threads())?;
+            Ok(Self {
+                seconds: 2.0 * work(networks, params)? / (REACHED * peak),
+                bytes: bytes(networks, params)? as u64,
+            })
+        };
+        estimate().map_err(|error: candle_core::Error| {
+            let problem = network_problem(&error);
+            Error::request(
+                format!("what the run will take cannot be told: {problem}"),
+                "report this as a defect",
+            )
+        })
+    }
+
+    /// What so many pictures take, in words.
+    pub(super) fn of(&self, pictures: usize) -> String {
+        let what = if pictures == 1 { "photo" } else { "photos" };
+        format!(
+            "{pictures} {what} to cut: about {} and {}",
+            readable_seconds(pictures as f64 * self.seconds),
+            readable_bytes(self.bytes)
+        )
+    }
+
+    /// Warns if this is more memory than there may be.
+    pub(super) fn compare_with_machine(&self) {
+        if let Some(available) = available_memory().filter(|&available| available < self.bytes) {
+            tracing::warn!(
+                "cutting photos takes about {} of memory, and there may be {}; a smaller --detector-size \
+                 or another --encoder takes less",
+                readable_bytes(self.bytes),
+                readable_bytes(available)
+            );
+        }
+    }
+}
+
+/// Height and width of the detector's picture, at the most.
+fn detector_size(params: &MobileSamParams) -> (usize, usize) {
+    let side = params.detector_size.next_multiple_of(Letterbox::STRIDE) as usize;
+    (side, side)
+}
+
+fn objects(params: &MobileSamParams) -> usize {
+    OBJECTS.min(params.max_masks as usize)
+}
+
+/// Multiply-adds of a picture, about, as the networks tell their observers.
+pub(super) fn work(networks: &Networks, params: &MobileSamParams) -> candle_core::Result<f64> {
+    let detector = detector::Work::new(networks.detector.config(), detector_size(params))?;
+    let encoder = match &networks.encoder {
+        ImageEncoder::EfficientVit(encoder) => efficient_vit::Work::new(encoder.config()).total(),
+        ImageEncoder::TinyVit(encoder) => tiny_vit::Work::new(encoder.config())?.total(),
+        ImageEncoder::Vit(encoder) => vit::Work::new(encoder.config()).total(),
+    };
+    let decoder = decoder::Work::new(networks.decoder.config()).total(objects(params));
+    Ok(detector.computed() + encoder + decoder)
+}
+
+/// Bytes at the most at a time: the networks run one after another, and their weights stay.
+fn bytes(networks: &Networks, params: &MobileSamParams) -> candle_core::Result<usize> {
+    let side = SamFrame::SIDE as usize;
+    let (weights, working) = match &networks.encoder {
+        ImageEncoder::EfficientVit(encoder) => {
+            let memory = efficient_vit::Memory::new(encoder.config(), (side, side))?;
+            (memory.weights, memory.working)
+        }
+        ImageEncoder::TinyVit(encoder) => {
+            let memory = tiny_vit::Memory::new(encoder.config())?;
+            (memory.weights, memory.working)
+        }
+        ImageEncoder::Vit(encoder) => {
+            let memory = vit::Memory::new(encoder.config())?;
+            (memory.weights, memory.working)
+        }
+    };
+    let detector = detector::Memory::new(networks.detector.config(), detector_size(params))?;
+    let options = decoder::Options::default();
+    let decoder = decoder::Memory::new(networks.decoder.config(), objects(params), &options)?;
+    let most = working.max(detector.working).max(decoder.working);
+    Ok(PROGRAM_BYTES + weights + detector.weights + decoder.weights + most)
+}

@@ -1,0 +1,167 @@
+use super::{EncoderChoice, Networks};
+use crate::{Error, Result, error::network_problem};
+use candle_core::Device;
+use serde_json::{Value, json};
+use std::fmt::Display;
+use tid3r_models::{
+    Weights,
+    mobilesamv2::{
+        ImageEncoder, decoder::Decoder, detector::Detector, efficient_vit::EfficientVit,
+        tiny_vit::TinyVit, vit::Vit,
+    },
+};
+use tid3r_weights_convert::{Config, Found, Network, Places};
+
+const DETECTOR: &str = "mobilesamv2-detector";
+const DECODER: &str = "mobilesamv2-decoder";
+
+/// The weights of the three networks.
+#[derive(Clone, Debug)]
+pub struct MobileSamWeights {
+    pub(super) detector: Found,
+    pub(super) encoder: Found,
+    pub(super) decoder: Found,
+}
+
+impl MobileSamWeights {
+    /// Those that are in `places`; of encoders the one that is asked for, else the first of
+    /// [`EncoderChoice::ALL`] whose weights are there.
+    ///
+    /// # Errors
+    /// When some are missing: the message says which, and what to get from where.
+    pub fn find(places: &Places, encoder: Option<EncoderChoice>) -> Result<Self> {
+        let find = |name: &str| -> Result<Found> { Ok(places.find(Network::named(name)?, None)?) };
+        let encoder = match encoder {
+            Some(choice) => find(choice.network()),
+            None => {
+                let mut found = EncoderChoice::ALL.into_iter().map(|e| find(e.network()));
+                let first = find(EncoderChoice::default().network());
+                found.find(Result::is_ok).unwrap_or(first)
+            }
+        };
+        match (find(DETECTOR), encoder, find(DECODER)) {
+            (Ok(detector), Ok(encoder), Ok(decoder)) => Ok(Self {
+                detector,
+                encoder,
+                decoder,
+            }),
+            (detector, encoder, decoder) => {
+                let problems = [detector, encoder, decoder]
+                    .into_iter()
+                    .filter_map(Result::err);
+                Err(joined(problems.collect()))
+            }
+        }
+    }
+
+    /// As [`Self::find`], but the inner error says which weights are merely missing.
+    ///
+    /// # Errors
+    /// When weights are there and damaged.
+    pub fn find_if_there(
+        places: &Places,
+        encoder: Option<EncoderChoice>,
+    ) -> Result<Result<Self, Error>> {
+        match Self::find(places, encoder) {
+            Err(error) if !is_missing(&error) => Err(error),
+            found => Ok(found),
+        }
+    }
+
+    /// The networks.
+    ///
+    /// # Errors
+    /// When weights are damaged, lack a tensor, or have one too many.
+    pub(super) fn networks(&self) -> Result<Networks> {
+        Ok(Networks {
+            detector: network(&self.detector, |config, weights| match config {
+                Config::Detector(config) => Some(Detector::new(config, weights)),
+                _ => None,
+            })?,
+            encoder: network(&self.encoder, |config, weights| match config {
+                Config::EfficientVit(config) => {
+                    Some(EfficientVit::new(config, weights).map(ImageEncoder::EfficientVit))
+                }
+                Config::TinyVit(config) => {
+                    Some(TinyVit::new(config, weights).map(ImageEncoder::TinyVit))
+                }
+                Config::Vit(config) => Some(Vit::new(config, weights).map(ImageEncoder::Vit)),
+                _ => None,
+            })?,
+            decoder: network(&self.decoder, |config, weights| match config {
+                Config::Decoder(config) => Some(Decoder::new(config, weights)),
+                _ => None,
+            })?,
+        })
+    }
+
+    /// What masks depend on, for `scene.json`.
+    pub(super) fn description(&self) -> Value {
+        let of_network = |found: &Found| {
+            json!({
+                "network": found.network.name,
+                "weights_sha256": found.file.weights_sha256,
+                "weights_source": found.file.provenance.source,
+            })
+        };
+        json!({
+            "detector": of_network(&self.detector),
+            "encoder": of_network(&self.encoder),
+            "decoder": of_network(&self.decoder),
+        })
+    }
+}
+
+/// Whether weights are merely not there, rather than damaged.
+fn is_missing(error: &Error) -> bool {
+    matches!(
+        error,
+        Error::Request { .. } | Error::Weights(tid3r_weights_convert::Error::Request { .. })
+    )
+}
+
+/// The first error about weights that are damaged; else one that says all that are missing.
+fn joined(mut errors: Vec<Error>) -> Error {
+    if let Some(damaged) = errors.iter().position(|error| !is_missing(error)) {
+        return errors.swap_remove(damaged);
+    }
+    if errors.len() == 1 {
+        return errors.swap_remove(0);
+    }
+    let all: Vec<String> = errors.iter().map(Error::to_string).collect();
+    Error::request(
+        format!(
+            "{} of MobileSAMv2's three networks are missing: {}",
+            all.len(),
+            all.join(" | ")
+        ),
+        "`tid3r weights list` shows what is here",
+    )
+}
+
+/// Builds a network of the weights that were found, mapped; `build` gives `None` for another network's
+/// configuration.
+fn network<N>(
+    found: &Found,
+    build: impl FnOnce(&Config, &Weights) -> Option<candle_core::Result<N>>,
+) -> Result<N> {
+    let damaged = |problem: &dyn Display| {
+        Error::file(
+            &found.folder,
+            format!("the weights cannot be used: {problem}"),
+            "make them again with `tid3r weights convert`",
+        )
+    };
+    let weights = Weights::open(&found.weights, &Device::Cpu)
+        .map_err(|error| damaged(&network_problem(&error)))?;
+    let network = build(&found.file.config, &weights)
+        .ok_or_else(|| damaged(&format!("they are of {}", found.network.title)))?
+        .map_err(|error| damaged(&network_problem(&error)))?;
+    match weights.unused().first() {
+        None => Ok(network),
+        Some(name) => Err(damaged(&format!(
+            "the file holds {} tensors that the network does not have, {name} the first",
+            weights.unused().len()
+        ))),
+    }
+}
