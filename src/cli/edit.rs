@@ -1,7 +1,7 @@
 use super::{SceneArgument, output};
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use tid3r::{
     Error,
     edit::{self, ColourChange, EditList, Hex, InstanceList, Placement},
@@ -9,10 +9,11 @@ use tid3r::{
     scene::{Scene, WriteLock},
 };
 
-/// Remove, move, copy, recolour or rename instances; undo and redo.
+/// Remove, move, copy, recolour or restyle instances; undo and redo.
 ///
-/// Instances are called by id or name; contact_sheet.png in the scene's folder shows them. Edits are a
-/// list: nothing is lost, and every one can be undone.
+/// Instances are called by id or name, as `tid3r instances list SCENE` and contact_sheet.png show them.
+/// Edits are a list, applied when the scene is used: nothing is lost, and every one can be undone, those
+/// that `tid3r instances` made too.
 #[derive(Debug, Args)]
 #[command(subcommand_required = true)]
 pub(super) struct Edit {
@@ -24,7 +25,7 @@ pub(super) struct Edit {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// List the instances, and the edits made so far
+    /// List the edits made so far
     List {
         /// Print them as JSON
         #[arg(long)]
@@ -63,13 +64,6 @@ enum Action {
         /// A folder with one picture for each photo, called like it
         #[arg(value_name = "FOLDER")]
         photos: PathBuf,
-    },
-    /// Give an instance a name
-    Rename {
-        /// Id or name
-        instance: String,
-        /// The new name
-        name: String,
     },
     /// Undo the last edit
     Undo,
@@ -119,85 +113,100 @@ struct Recolour {
 
 impl Edit {
     pub(super) fn run(self) -> Result<()> {
-        let scene = Scene::open(&self.scene.scene)?;
-        if let Action::List { json } = self.action {
-            return list(&scene, json);
-        }
-        let lock = WriteLock::acquire(scene.folder())?;
-        if let Action::Clear = self.action {
-            // Edits of instances that are no more cannot be done again.
-            let mut list = EditList::load(&scene).or_else(|_| EditList::cleared(&scene))?;
-            list.undo_all();
-            edit::write_overviews(&scene, list.edits(), &lock)?;
-            list.save(&scene, &lock)?;
-            return output::line("all edits undone");
-        }
-        let mut list = EditList::load(&scene)?;
-        let said = match self.action {
-            Action::Undo => match list.undo() {
-                Some(undone) => format!("undone: {}", edit::describe(undone)),
-                None => return Err(Error::request("there is nothing to undo", "edit first").into()),
-            },
-            Action::Redo => match list.redo() {
-                Some(redone) => format!("done again: {}", edit::describe(redone)),
+        let folder = &self.scene.scene;
+        match self.action {
+            Action::List { json } => list(&Scene::open(folder)?, json),
+            Action::Undo => change(folder, EditList::load, |list| match list.undo() {
+                Some(undone) => Ok(format!("undone: {}", edit::describe(undone))),
+                None => Err(Error::request("there is nothing to undo", "edit first")),
+            }),
+            Action::Redo => change(folder, EditList::load, |list| match list.redo() {
+                Some(redone) => Ok(format!("done again: {}", edit::describe(redone))),
                 None => {
                     let problem = "there is nothing to do again";
-                    return Err(Error::request(problem, "undo something first").into());
+                    Err(Error::request(problem, "undo something first"))
                 }
-            },
-            action => {
-                let edit = action.edit(&scene, &list, &lock)?;
-                let said = edit::describe(&edit);
-                list.push(edit)?;
-                said
+            }),
+            Action::Clear => {
+                // Edits of instances that are no more cannot be done again.
+                let load =
+                    |scene: &Scene| EditList::load(scene).or_else(|_| EditList::cleared(scene));
+                change(folder, load, |list| {
+                    list.undo_all();
+                    Ok("all edits undone".into())
+                })
             }
-        };
-        edit::write_overviews(&scene, list.edits(), &lock)?;
-        list.save(&scene, &lock)?;
-        output::line(said)
+            action => add(folder, |scene, list, lock| action.edit(scene, list, lock)),
+        }
     }
+}
+
+/// Adds the edit that `make` gives to the list of the scene in `folder`, and says what it does.
+pub(super) fn add(
+    folder: &Path,
+    make: impl FnOnce(&Scene, &EditList, &WriteLock) -> Result<edit::Edit>,
+) -> Result<()> {
+    let scene = Scene::open(folder)?;
+    let lock = WriteLock::acquire(scene.folder())?;
+    let mut list = EditList::load(&scene)?;
+    let edit = make(&scene, &list, &lock)?;
+    InstanceList::load(&scene, list.edits())?.check(&edit)?;
+    let said = edit::describe(&edit);
+    list.push(edit)?;
+    keep(&scene, &list, &lock)?;
+    output::line(said)
+}
+
+/// Changes the list of the scene in `folder`, as `load` gives it, by `how`, and says what that says.
+fn change(
+    folder: &Path,
+    load: impl FnOnce(&Scene) -> tid3r::Result<EditList>,
+    how: impl FnOnce(&mut EditList) -> tid3r::Result<String>,
+) -> Result<()> {
+    let scene = Scene::open(folder)?;
+    let lock = WriteLock::acquire(scene.folder())?;
+    let mut list = load(&scene)?;
+    let said = how(&mut list)?;
+    keep(&scene, &list, &lock)?;
+    output::line(said)
+}
+
+/// Writes a changed list into its scene, and draws the overviews by it.
+pub(super) fn keep(scene: &Scene, list: &EditList, lock: &WriteLock) -> tid3r::Result<()> {
+    edit::write_overviews(scene, list.edits(), lock)?;
+    list.save(scene, lock)
+}
+
+/// The ids of instances that a person calls by id or name.
+pub(super) fn resolve_all(list: &InstanceList, called: &[String]) -> tid3r::Result<Vec<u32>> {
+    called.iter().map(|called| list.resolve(called)).collect()
 }
 
 impl Action {
     /// The edit that is asked for; actions on the list itself are none.
     fn edit(self, scene: &Scene, list: &EditList, lock: &WriteLock) -> Result<edit::Edit> {
-        let instances = InstanceList::load(scene, list.edits())?;
-        let resolve = |called: &str| instances.resolve(called);
-        let resolve_all = |called: &[String]| {
-            called
-                .iter()
-                .map(|c| resolve(c))
-                .collect::<Result<Vec<_>, _>>()
-        };
+        let known = InstanceList::load(scene, list.edits())?;
         Ok(match self {
             Self::Remove { instances } => edit::Edit::Remove {
-                instances: resolve_all(&instances)?,
+                instances: resolve_all(&known, &instances)?,
             },
             Self::KeepOnly { instances } => edit::Edit::KeepOnly {
-                instances: resolve_all(&instances)?,
+                instances: resolve_all(&known, &instances)?,
             },
             Self::Move { instance, target } => edit::Edit::Move {
-                instance: resolve(&instance)?,
+                instance: known.resolve(&instance)?,
                 placement: target.placement(),
             },
             Self::Duplicate { instance, target } => edit::Edit::Duplicate {
-                instance: resolve(&instance)?,
-                copy: instances.unused_id(list.edits()),
+                instance: known.resolve(&instance)?,
+                copy: known.unused_id(),
                 placement: target.placement(),
             },
             Self::Recolour(recolour) => edit::Edit::Recolour {
                 change: recolour.change()?,
-                instances: resolve_all(&recolour.instances)?,
+                instances: resolve_all(&known, &recolour.instances)?,
             },
             Self::Restyle { photos } => edit::restyle(scene, &photos, lock)?,
-            Self::Rename { instance, name } => {
-                let instance = resolve(&instance)?;
-                instances.check_new_name(instance, &name)?;
-                edit::Edit::Rename {
-                    instance,
-                    name: name.trim().to_string(),
-                }
-            }
             Self::List { .. } | Self::Undo | Self::Redo | Self::Clear => {
                 unreachable!("actions on the list are done before")
             }
@@ -235,29 +244,17 @@ impl Recolour {
 
 fn list(scene: &Scene, json: bool) -> Result<()> {
     let list = EditList::load(scene)?;
-    let instances = InstanceList::load(scene, list.edits())?;
     if json {
         return output::json(&serde_json::json!({
-            "instances": instances.names,
-            "found": instances.found.values().collect::<Vec<_>>(),
             "edits": list.edits(),
             "undone": list.undone(),
         }));
     }
-    let heading = ["id", "name", "points", "photos", "agreement"];
-    let mut rows = vec![heading.map(String::from).to_vec()];
-    for (id, name) in &instances.names {
-        let mut row = vec![id.to_string(), name.clone()];
-        if let Some(found) = instances.found.get(id) {
-            row.push(found.points.to_string());
-            row.push(found.photos.len().to_string());
-            row.push(format!("{:.2}", found.score));
-        }
-        rows.push(row);
-    }
-    output::table(&rows)?;
     for (k, edit) in (1..).zip(list.edits()) {
         output::line(format!("edit {k}: {}", edit::describe(edit)))?;
+    }
+    if list.edits().is_empty() {
+        output::line("no edits")?;
     }
     if list.undone() > 0 {
         output::line(format!("{} undone, which `redo` does again", list.undone()))?;

@@ -8,9 +8,11 @@ mod edit;
 mod evaluate;
 mod export;
 mod import;
+mod instances;
 mod output;
 mod reconstruct;
 mod render;
+mod run;
 mod segment;
 pub(crate) mod terminal;
 mod weights;
@@ -29,7 +31,7 @@ use terminal::Terminal;
     propagate_version = true,
     subcommand_required = true
 )]
-#[command(after_help = "Start with `tid3r demo`, or `tid3r reconstruct PHOTOS -o SCENE`.")]
+#[command(after_help = "Start with `tid3r demo`, or `tid3r run PHOTOS -o SCENE`.")]
 pub(crate) struct Cli {
     #[command(flatten)]
     global: Global,
@@ -61,10 +63,12 @@ struct Global {
 /// What each does is said where it is defined: words here would hide those from the help.
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Run(Box<run::Run>),
     Reconstruct(Box<reconstruct::Reconstruct>),
     Import(import::Import),
     Clean(clean::Clean),
     Segment(segment::Segment),
+    Instances(instances::Instances),
     Edit(edit::Edit),
     Render(render::Render),
     Export(export::Export),
@@ -87,10 +91,12 @@ impl Cli {
         }
         let terminal = Terminal::new(self.global.quiet);
         match self.verb {
+            Verb::Run(verb) => verb.run(&terminal),
             Verb::Reconstruct(verb) => verb.run(&terminal),
             Verb::Import(verb) => verb.run(&terminal),
             Verb::Clean(verb) => verb.run(&terminal),
             Verb::Segment(verb) => verb.run(&terminal),
+            Verb::Instances(verb) => verb.run(),
             Verb::Edit(verb) => verb.run(),
             Verb::Render(verb) => verb.run(&terminal),
             Verb::Export(verb) => verb.run(),

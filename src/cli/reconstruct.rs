@@ -1,14 +1,15 @@
 use super::{output, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, builder::PossibleValuesParser};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use tid3r::{
     parameters,
     photos::photos_from_paths,
+    progress::Progress,
     reconstruct::{MvDust3rParams, MvDust3rReconstructor, NewScene, PlacedPhoto, Placement},
     scene::{Scale, Scene, Stage, WriteLock},
 };
-use tid3r_weights_convert::{self as weights, Found, Places};
+use tid3r_weights_convert::{Found, Network, Places};
 
 /// Make a scene from photos alone, with MV-DUSt3R or MV-DUSt3R+.
 ///
@@ -21,24 +22,14 @@ use tid3r_weights_convert::{self as weights, Found, Places};
     tid3r reconstruct *.jpg -o room --focal exif --network mvdust3r\n\n\
     Weights are found as `tid3r weights list` says.")]
 pub(super) struct Reconstruct {
-    /// The photos, or folders of photos: 10 to 20 of one room, overlapping
-    #[arg(value_name = "PHOTOS", required = true)]
-    photos: Vec<PathBuf>,
+    #[command(flatten)]
+    options: Options,
     /// The folder to write the scene to
     #[arg(short, long, value_name = "SCENE")]
     output: PathBuf,
-    /// The network [default: mvdust3r-plus, or mvdust3r if only its weights are here]
-    #[arg(long, value_name = "NAME", conflicts_with = "weights",
-          value_parser = PossibleValuesParser::new(NETWORKS))]
-    network: Option<String>,
     /// Folder of the weights, instead of those that `tid3r weights path` finds
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", conflicts_with = "network")]
     weights: Option<PathBuf>,
-    #[command(flatten)]
-    params: MvDust3rParams,
-    /// Memory that the run may take, as in 8GB [default: what is available]
-    #[arg(long, value_name = "AMOUNT", value_parser = parameters::memory)]
-    max_memory: Option<u64>,
     /// Replace a scene that is there already
     #[arg(long)]
     force: bool,
@@ -47,18 +38,72 @@ pub(super) struct Reconstruct {
     json: bool,
 }
 
+/// Which photos become a scene, and how.
+#[derive(Debug, Args)]
+// `run` takes several structs of this name, and groups are called like structs.
+#[group(skip)]
+pub(super) struct Options {
+    /// The photos, or folders of photos: 10 to 20 of one room, overlapping
+    #[arg(value_name = "PHOTOS", required = true)]
+    photos: Vec<PathBuf>,
+    /// The network [default: mvdust3r-plus, or mvdust3r if only its weights are here]
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(NETWORKS))]
+    network: Option<String>,
+    #[command(flatten)]
+    params: MvDust3rParams,
+    /// Memory that the run may take, as in 8GB [default: what is available]
+    #[arg(long, value_name = "AMOUNT", value_parser = parameters::memory)]
+    max_memory: Option<u64>,
+}
+
 /// Those that reconstruct, the better one first.
 const NETWORKS: [&str; 2] = ["mvdust3r-plus", "mvdust3r"];
 
 impl Reconstruct {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
+        let weights = match &self.weights {
+            Some(path) => Found::at(path)?,
+            None => self.options.find_weights(&Places::of_environment())?,
+        };
+        let (scene, _) = self
+            .options
+            .reconstruct(weights, &self.output, self.force, terminal)?;
+        let report = scene.require(Stage::Reconstruct)?.report.clone();
+        if self.json {
+            return output::json(&report);
+        }
+        print(&scene, &report)
+    }
+}
+
+impl Options {
+    /// The weights of the network that is asked for, or of the better one that is here.
+    pub(super) fn find_weights(&self, places: &Places) -> Result<Found> {
+        if let Some(name) = &self.network {
+            return Ok(places.find(Network::named(name)?, None)?);
+        }
+        let found = |name: &&str| places.find(Network::named(name).ok()?, None).ok();
+        match NETWORKS.iter().find_map(found) {
+            Some(found) => Ok(found),
+            // Says what to get from where.
+            None => Ok(places.find(Network::named(NETWORKS[0])?, None)?),
+        }
+    }
+
+    /// Makes the scene in the folder `output`, or finds it in place.
+    pub(super) fn reconstruct(
+        self,
+        weights: Found,
+        output: &Path,
+        force: bool,
+        progress: &dyn Progress,
+    ) -> Result<(Scene, WriteLock)> {
         let (photos, warnings) = photos_from_paths(&self.photos)?;
         for warning in warnings {
             tracing::warn!("{warning}");
         }
-        let reconstructor =
-            MvDust3rReconstructor::new(self.find_weights()?, self.params, self.max_memory)?;
-        let lock = WriteLock::acquire(&self.output)?;
+        let reconstructor = MvDust3rReconstructor::new(weights, self.params, self.max_memory)?;
+        let lock = WriteLock::acquire(output)?;
         let paths: Vec<_> = photos.iter().map(|photo| &photo.path).collect();
         let scene = NewScene {
             inputs: &photos,
@@ -70,31 +115,8 @@ impl Reconstruct {
             }),
             reconstructor: &reconstructor,
         }
-        .create(&self.output, self.force, &lock, terminal)?;
-        let report = scene.require(Stage::Reconstruct)?.report.clone();
-        if self.json {
-            return output::json(&report);
-        }
-        print(&scene, &report)
-    }
-
-    fn find_weights(&self) -> Result<Found> {
-        if let Some(path) = &self.weights {
-            return Ok(Found::at(path)?);
-        }
-        if let Some(name) = &self.network {
-            return Ok(weights::find(name, None)?);
-        }
-        let places = Places::of_environment();
-        let found = |name: &&str| {
-            let network = weights::Network::named(name).ok()?;
-            places.find(network, None).ok()
-        };
-        match NETWORKS.iter().find_map(found) {
-            Some(found) => Ok(found),
-            // Says what to get from where.
-            None => Ok(weights::find(NETWORKS[0], None)?),
-        }
+        .create(output, force, &lock, progress)?;
+        Ok((scene, lock))
     }
 }
 

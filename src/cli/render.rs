@@ -1,18 +1,20 @@
 use super::{SceneArgument, output, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 use std::{path::PathBuf, time::Instant};
 use tid3r::{
     Error,
     geometry::{Camera, Point},
+    progress::Progress,
     render::{
-        Bare, Completer, EditedScene, PathFile, ReferenceParams, Rendering, SplatParams, between,
-        fill::Fill, orbit,
+        Bare, Completer, EditedScene, PathFile, ReferenceParams, RenderRecord, Rendering,
+        SplatParams, ViewFiles, between, fill::Fill, orbit, render_recipe,
     },
     scene::{Role, Scene, WriteLock},
 };
 
-const PATH_FORMAT: &str = r#"A camera path (--path) is a JSON file:
+pub(super) const PATH_FORMAT: &str = r#"A camera path (--path) is a JSON file:
   {"views": [{"name": "door",
               "cam_to_world": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]],
               "intrinsics": {"width": 640, "height": 480, "fx": 518, "fy": 519, "cx": 319.5, "cy": 239.5}},
@@ -33,20 +35,29 @@ pub(super) struct Render {
     #[command(flatten)]
     scene: SceneArgument,
     #[command(flatten)]
-    cameras: Cameras,
-    /// How empty pixels are completed
-    #[arg(long, value_enum, default_value_t = Refine::Fill)]
-    refine: Refine,
-    #[command(flatten)]
-    splats: SplatParams,
-    #[command(flatten)]
-    references: ReferenceParams,
+    options: Options,
     /// The folder to write to [default: views/ in the scene]
     #[arg(short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
     /// Print what was written as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// Which views, and how they are rendered.
+#[derive(Debug, Args)]
+// `run` takes several structs of this name, and groups are called like structs.
+#[group(skip)]
+pub(super) struct Options {
+    #[command(flatten)]
+    cameras: Cameras,
+    /// How empty pixels are completed
+    #[arg(long, value_enum, default_value_t = Refine::Fill, help_heading = "Rendering")]
+    refine: Refine,
+    #[command(flatten, next_help_heading = "Rendering")]
+    splats: SplatParams,
+    #[command(flatten, next_help_heading = "Rendering")]
+    references: ReferenceParams,
 }
 
 /// From where.
@@ -74,7 +85,8 @@ struct Cameras {
     test_views: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
+#[derive(Clone, Copy, Debug, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
 enum Refine {
     /// Not at all: the bare projection
     None,
@@ -97,13 +109,9 @@ impl Render {
         let scene = Scene::open(&self.scene.scene)?;
         let lock = WriteLock::acquire(scene.folder())?;
         let edited = EditedScene::load(&scene)?;
-        let cameras = self.cameras.choose(&scene, &edited)?;
         let folder = self.output.unwrap_or_else(|| scene.folder().join("views"));
-        let rendering = Rendering {
-            completer: self.refine.completer(),
-            splats: self.splats,
-            references: self.references,
-        };
+        let cameras = self.options.cameras.choose(&scene, &edited)?;
+        let rendering = self.options.rendering();
         let views = rendering.write(&edited, &cameras, &folder, &lock, terminal)?;
         scene.write_timing("render", start, &lock)?;
         if self.json {
@@ -117,6 +125,46 @@ impl Render {
             ))?;
         }
         Ok(())
+    }
+}
+
+impl Options {
+    fn rendering(&self) -> Rendering<'static> {
+        Rendering {
+            completer: self.refine.completer(),
+            splats: self.splats.clone(),
+            references: self.references.clone(),
+        }
+    }
+
+    /// Writes the views into the scene's views/ folder, unless they are there already, rendered from the
+    /// same; says whether they had to be rendered.
+    pub(super) fn render_once(
+        &self,
+        scene: &Scene,
+        edited: &EditedScene,
+        force: bool,
+        lock: &WriteLock,
+        progress: &dyn Progress,
+    ) -> Result<(Vec<ViewFiles>, bool)> {
+        let start = Instant::now();
+        let cameras = self.cameras.choose(scene, edited)?;
+        let record = RenderRecord {
+            folder: &scene.folder().join("views"),
+            recipe: render_recipe(
+                scene,
+                &(&cameras, self.refine, &self.splats, &self.references),
+            )?,
+        };
+        if !force && let Some(views) = record.views() {
+            return Ok((views, false));
+        }
+        let views = self
+            .rendering()
+            .write(edited, &cameras, record.folder, lock, progress)?;
+        record.write(&views)?;
+        scene.write_timing("render", start, lock)?;
+        Ok((views, true))
     }
 }
 

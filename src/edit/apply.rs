@@ -1,4 +1,4 @@
-use super::{Edit, Placement};
+use super::{Edit, Placement, SplitBy};
 use crate::{
     Map, Result,
     geometry::{Point, Pose, Vector},
@@ -6,7 +6,7 @@ use crate::{
 };
 use image::RgbImage;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 
 /// A scene as its edits left it.
 #[derive(Clone, Debug)]
@@ -19,6 +19,9 @@ pub struct Edited {
     /// The photos, recoloured and restyled, in the order of the frames. Removed and moved objects
     /// are still in them: see [`crate::render::reference_masks`].
     pub photos: Vec<RgbImage>,
+    /// The instance of each pixel of the photos, as instances were merged and split; removed and moved
+    /// ones are still where they were photographed.
+    pub instances: Vec<Map<u32>>,
 }
 
 /// Applies edits to a cloud made of `frames`.
@@ -31,65 +34,144 @@ pub struct Edited {
 pub fn apply(
     cloud: Cloud,
     frames: &[Frame],
-    instances: &[Map<u32>],
+    instances: Vec<Map<u32>>,
     floor_to_world: &Pose,
     edits: &[Edit],
     style: impl Fn(&str) -> Result<Vec<RgbImage>>,
 ) -> Result<Edited> {
-    let mut work = Work {
-        origin: (0..cloud.len()).map(Some).collect(),
-        photos: frames.iter().map(|frame| frame.colour.clone()).collect(),
-        cut_out: false,
-        cloud: cloud.clone(),
-    };
-    for edit in edits {
-        match edit {
-            Edit::Rename { .. } => {}
-            Edit::Remove { instances } => work.keep(|instance| !instances.contains(&instance)),
-            Edit::KeepOnly { instances } => {
-                work.keep(|instance| instances.contains(&instance));
-                work.cut_out = true;
-            }
-            Edit::Move {
-                instance,
-                placement,
-            } => work.place(*instance, placement, floor_to_world),
-            Edit::Duplicate {
-                instance,
-                copy,
-                placement,
-            } => {
-                work.copy(*instance, *copy);
-                work.place(*copy, placement, floor_to_world);
-            }
-            Edit::Recolour {
-                instances: ids,
-                change,
-            } => {
-                for &id in ids {
-                    work.recolour(id, change, instances);
-                }
-            }
-            Edit::Restyle { style: name } => work.restyle(style(name)?),
-        }
-    }
-    Ok(work.finish(cloud))
+    Ok(Work::new(cloud, frames, instances)
+        .with_edits(edits, floor_to_world, style)?
+        .finish())
 }
 
 /// How far around a removed object's mask its outline is taken away too, pixels.
 const FRINGE: u32 = 3;
 
 /// A cloud under way, with where each of its points came from.
-struct Work {
+pub(super) struct Work {
     cloud: Cloud,
     /// The point's place in the cloud before all edits; `None` for copies.
     origin: Vec<Option<usize>>,
+    /// The cloud before all edits, but with instances as they were merged and split since: as if they
+    /// had been found that way.
+    before: Cloud,
     photos: Vec<RgbImage>,
+    /// The instance of each pixel, merged and split.
+    instances: Vec<Map<u32>>,
     /// Whether objects have been cut out of everything else.
     cut_out: bool,
 }
 
 impl Work {
+    pub(super) fn new(cloud: Cloud, frames: &[Frame], instances: Vec<Map<u32>>) -> Self {
+        Self {
+            origin: (0..cloud.len()).map(Some).collect(),
+            before: cloud.clone(),
+            cloud,
+            photos: frames.iter().map(|frame| frame.colour.clone()).collect(),
+            instances,
+            cut_out: false,
+        }
+    }
+
+    pub(super) fn with_edits(
+        mut self,
+        edits: &[Edit],
+        floor_to_world: &Pose,
+        style: impl Fn(&str) -> Result<Vec<RgbImage>>,
+    ) -> Result<Self> {
+        for edit in edits {
+            match edit {
+                Edit::Rename { .. } => {}
+                Edit::Merge {
+                    instance, others, ..
+                } => self.merge(*instance, others),
+                Edit::Split {
+                    instance,
+                    by,
+                    parts,
+                } => self.split(*instance, by, parts, floor_to_world),
+                Edit::Remove { instances } => self.keep(|id| !instances.contains(&id)),
+                Edit::KeepOnly { instances } => {
+                    self.keep(|id| instances.contains(&id));
+                    self.cut_out = true;
+                }
+                Edit::Move {
+                    instance,
+                    placement,
+                } => self.place(*instance, placement, floor_to_world),
+                Edit::Duplicate {
+                    instance,
+                    copy,
+                    placement,
+                } => {
+                    self.copy(*instance, *copy);
+                    self.place(*copy, placement, floor_to_world);
+                }
+                Edit::Recolour { instances, change } => {
+                    for &id in instances {
+                        self.recolour(id, change);
+                    }
+                }
+                Edit::Restyle { style: name } => self.restyle(style(name)?),
+            }
+        }
+        Ok(self)
+    }
+
+    fn merge(&mut self, instance: u32, others: &[u32]) {
+        let pixels = self.instances.iter_mut().flat_map(Map::values_mut);
+        for id in (self.cloud.instances.iter_mut())
+            .chain(&mut self.before.instances)
+            .chain(pixels)
+        {
+            if others.contains(id) {
+                *id = instance;
+            }
+        }
+    }
+
+    fn split(&mut self, instance: u32, by: &SplitBy, parts: &[u32], floor_to_world: &Pose) {
+        let places = self.places(instance);
+        let found = self.parts(&places, by, floor_to_world);
+        let mut shown = vec![Vec::new(); self.instances.len()];
+        for (index, part) in places.into_iter().zip(found) {
+            // Part 0 keeps the id.
+            let part = part.checked_sub(1).and_then(|part| parts.get(part));
+            let id = part.copied().unwrap_or(instance);
+            self.cloud.instances[index] = id;
+            if let Some(origin) = self.origin[index] {
+                self.before.instances[origin] = id;
+                let source = self.before.sources[origin];
+                shown[source.frame as usize].push((source.pixel as usize, id));
+            }
+        }
+        for (map, shown) in self.instances.iter_mut().zip(&shown) {
+            share_out(map, instance, shown);
+        }
+    }
+
+    /// The part that each of the points at these places of the cloud comes to.
+    pub(super) fn parts(
+        &self,
+        places: &[usize],
+        by: &SplitBy,
+        floor_to_world: &Pose,
+    ) -> Vec<usize> {
+        by.parts(&self.points(places), floor_to_world)
+    }
+
+    pub(super) fn points(&self, places: &[usize]) -> Vec<Point> {
+        let point = |&index: &usize| self.cloud.point(index);
+        places.iter().map(point).collect()
+    }
+
+    /// The radii of an instance's points.
+    pub(super) fn radii(&self, instance: u32) -> Vec<f32> {
+        let places = self.places(instance).into_iter();
+        places.map(|index| self.cloud.radii[index]).collect()
+    }
+
     fn keep(&mut self, keep: impl Fn(u32) -> bool) {
         let kept: Vec<bool> = self.cloud.instances.iter().map(|&id| keep(id)).collect();
         let mut place = kept.iter();
@@ -100,7 +182,8 @@ impl Work {
             .0;
     }
 
-    fn points_of(&self, instance: u32) -> Vec<usize> {
+    /// The places of an instance's points in the cloud.
+    pub(super) fn places(&self, instance: u32) -> Vec<usize> {
         let ids = self.cloud.instances.iter().enumerate();
         ids.filter(|&(_, &id)| id == instance)
             .map(|(index, _)| index)
@@ -108,11 +191,8 @@ impl Work {
     }
 
     fn place(&mut self, instance: u32, placement: &Placement, floor_to_world: &Pose) {
-        let indices = self.points_of(instance);
-        let points: Vec<Point> = indices
-            .iter()
-            .map(|&index| self.cloud.point(index))
-            .collect();
+        let indices = self.places(instance);
+        let points = self.points(&indices);
         let Some(motion) = placement.motion(&points, floor_to_world) else {
             return;
         };
@@ -135,14 +215,14 @@ impl Work {
         self.cloud.append(points);
     }
 
-    fn recolour(&mut self, instance: u32, change: &super::ColourChange, instances: &[Map<u32>]) {
-        let indices = self.points_of(instance);
+    fn recolour(&mut self, instance: u32, change: &super::ColourChange) {
+        let indices = self.places(instance);
         let before: Vec<[u8; 3]> = indices.iter().map(|&i| self.cloud.colours[i]).collect();
         let paint = change.of_instance(&before);
         for index in indices {
             self.cloud.colours[index] = paint(self.cloud.colours[index]);
         }
-        for (photo, ids) in self.photos.iter_mut().zip(instances) {
+        for (photo, ids) in self.photos.iter_mut().zip(&self.instances) {
             for (pixel, &id) in photo.pixels_mut().zip(ids.values()) {
                 if id == instance {
                     pixel.0 = paint(pixel.0);
@@ -177,7 +257,8 @@ impl Work {
     /// Pixels next to an object's mask often show some of it, at a depth between it and what is
     /// behind. Where the object is gone, such points would be left over as its outline: they go too.
     /// Not so when objects are cut out of the scene: what is around them is gone, not they.
-    fn finish(mut self, before: Cloud) -> Edited {
+    pub(super) fn finish(mut self) -> Edited {
+        let before = std::mem::take(&mut self.before);
         let mut in_place = vec![false; before.len()];
         for (index, origin) in self.origin.iter().enumerate() {
             if let Some(origin) = *origin {
@@ -201,6 +282,36 @@ impl Work {
             cloud: cloud.0,
             vacated,
             photos: self.photos,
+            instances: self.instances,
+        }
+    }
+}
+
+/// Gives the pixels of an instance that was split the ids of its parts.
+///
+/// Pixels that have a point in the cloud, `shown`, go with it; others go with the nearest of those,
+/// along the instance's own pixels. Where no way leads to one, the instance keeps them.
+fn share_out(map: &mut Map<u32>, instance: u32, shown: &[(usize, u32)]) {
+    let mut open = map.map(|&id| id == instance);
+    let mut queue: VecDeque<usize> = shown.iter().map(|&(pixel, _)| pixel).collect();
+    for &(pixel, id) in shown {
+        map.values_mut()[pixel] = id;
+        open.values_mut()[pixel] = false;
+    }
+    while let Some(index) = queue.pop_front() {
+        let id = map.values()[index];
+        let (x, y) = map.pixel(index);
+        let around = [
+            (x.checked_sub(1), Some(y)),
+            (x.checked_add(1).filter(|&x| x < map.width()), Some(y)),
+            (Some(x), y.checked_sub(1)),
+            (Some(x), y.checked_add(1).filter(|&y| y < map.height())),
+        ];
+        for (x, y) in around.into_iter().filter_map(|(x, y)| x.zip(y)) {
+            if std::mem::take(&mut open[(x, y)]) {
+                map[(x, y)] = id;
+                queue.push_back(map.index(x, y));
+            }
         }
     }
 }
@@ -217,13 +328,26 @@ mod tests {
 
     /// A wall whose left half is instance 1 and whose right quarter is instance 2.
     fn edited(edits: &[Edit]) -> Edited {
+        edited_from(
+            |x| match x {
+                0..16 => 1,
+                24.. => 2,
+                _ => 0,
+            },
+            |_, _| true,
+            edits,
+        )
+    }
+
+    /// A wall with instances by column, and points by column and row.
+    fn edited_from(
+        instance: fn(u32) -> u32,
+        is_valid: fn(u32, u32) -> bool,
+        edits: &[Edit],
+    ) -> Edited {
         let frames = [facing_wall(0.0, 4.0)];
-        let validity = [frames[0].depth.map(|_| true)];
-        let instances = [Map::from_fn(32, 24, |x, _| match x {
-            0..16 => 1,
-            24.. => 2,
-            _ => 0,
-        })];
+        let validity = [Map::from_fn(32, 24, is_valid)];
+        let instances = vec![Map::from_fn(32, 24, |x, _| instance(x))];
         let cloud = Cloud::from_frames(&frames, &validity, Some(&instances));
         let style = |name: &str| {
             if name == "red" {
@@ -232,7 +356,30 @@ mod tests {
                 Err(Error::request("no such style", "choose another"))
             }
         };
-        apply(cloud, &frames, &instances, &Pose::identity(), edits, style).unwrap()
+        apply(cloud, &frames, instances, &Pose::identity(), edits, style).unwrap()
+    }
+
+    /// Splits what is left of a column of the wall off instance 1, as instance 3.
+    fn split_off_left_of(column: u32) -> Edit {
+        let wall = facing_wall(0.0, 4.0);
+        let x = wall.point(wall.depth.index(column, 0)).unwrap().x - 1e-3;
+        Edit::Split {
+            instance: 1,
+            by: SplitBy::Box {
+                low: [-1e3; 3],
+                high: [x, 1e3, 1e3],
+            },
+            parts: vec![3],
+        }
+    }
+
+    /// The columns in which an instance has points.
+    fn columns(cloud: &Cloud, instance: u32) -> BTreeSet<u32> {
+        let points = cloud.sources.iter().zip(&cloud.instances);
+        points
+            .filter(|&(_, &id)| id == instance)
+            .map(|(source, _)| source.pixel % 32)
+            .collect()
     }
 
     fn count(cloud: &Cloud, instance: u32) -> usize {
@@ -270,6 +417,126 @@ mod tests {
             (scene.vacated.len(), count(&scene.vacated, 2)),
             (8 * 24, 8 * 24)
         );
+    }
+
+    fn merge(instance: u32, others: &[u32]) -> Edit {
+        Edit::Merge {
+            instance,
+            others: others.to_vec(),
+            name: None,
+        }
+    }
+
+    #[test]
+    fn merged_instances_are_as_if_they_had_been_found_as_one() {
+        let remove = |id| Edit::Remove {
+            instances: vec![id],
+        };
+        for [kept, other] in [[1, 2], [2, 1]] {
+            let merged = edited(&[merge(kept, &[other]), remove(kept)]);
+            let as_one = if kept == 1 {
+                |x| u32::from(!(16..24).contains(&x))
+            } else {
+                |x| 2 * u32::from(!(16..24).contains(&x))
+            };
+            let found = edited_from(as_one, |_, _| true, &[remove(kept)]);
+            assert_eq!(merged.cloud, found.cloud);
+            assert_eq!(merged.vacated, found.vacated);
+            assert_eq!(merged.instances, found.instances);
+            assert_eq!(merged.vacated.len(), 24 * 24, "both are gone");
+        }
+    }
+
+    #[test]
+    fn a_part_is_an_instance_of_its_own() {
+        let split = split_off_left_of(8);
+        let scene = edited(std::slice::from_ref(&split));
+        assert_eq!(columns(&scene.cloud, 3), (0..8).collect());
+        assert_eq!(columns(&scene.cloud, 1), (8..16).collect());
+        assert!(scene.vacated.is_empty());
+
+        let remove = |id| Edit::Remove {
+            instances: vec![id],
+        };
+        let scene = edited(&[split.clone(), remove(3)]);
+        assert_eq!(scene.vacated.len(), 8 * 24);
+        // Its outline goes with it, as between instances that were found.
+        assert_eq!(columns(&scene.cloud, 1), (8 + FRINGE..16).collect());
+
+        let to = ColourChange::To {
+            colour: Hex([0, 0, 200]),
+        };
+        let paint = Edit::Recolour {
+            instances: vec![3],
+            change: to,
+        };
+        let scene = edited(&[split.clone(), paint]);
+        let blue = |x: u32| scene.photos[0].get_pixel(x, 12)[2] > 150;
+        assert!(blue(7) && !blue(8), "in the photos too");
+
+        let scene = edited(&[split.clone(), merge(2, &[3]), remove(2)]);
+        assert_eq!(scene.vacated.len(), 16 * 24, "a part can be merged again");
+        let scene = edited(&[split, merge(1, &[3])]);
+        assert_eq!(scene.cloud, edited(&[]).cloud);
+        assert_eq!(scene.instances, edited(&[]).instances);
+    }
+
+    #[test]
+    fn parts_are_looked_for_where_an_instance_was_moved_to() {
+        let moved = Edit::Move {
+            instance: 1,
+            placement: shift(1e3),
+        };
+        let scene = edited(&[moved.clone(), split_off_left_of(8)]);
+        assert_eq!(count(&scene.cloud, 3), 0);
+        let scene = edited(&[split_off_left_of(8), moved]);
+        assert_eq!(columns(&scene.vacated, 1), (8..16).collect());
+    }
+
+    #[test]
+    fn a_copy_is_split_without_the_photos() {
+        let copy = Edit::Duplicate {
+            instance: 1,
+            copy: 3,
+            placement: Placement::default(),
+        };
+        let Edit::Split { by, .. } = split_off_left_of(8) else {
+            unreachable!()
+        };
+        let split = Edit::Split {
+            instance: 3,
+            by,
+            parts: vec![4],
+        };
+        let scene = edited(&[copy, split]);
+        assert_eq!(
+            (count(&scene.cloud, 3), count(&scene.cloud, 4)),
+            (8 * 24, 8 * 24)
+        );
+        assert_eq!(scene.instances, edited(&[]).instances);
+    }
+
+    #[test]
+    fn pixels_without_points_go_with_the_part_next_to_them() {
+        // Columns 6 to 9 have points in the first row only; the part ends before column 8.
+        let scene = edited_from(
+            |x| u32::from(x < 16),
+            |x, y| y == 0 || !(6..10).contains(&x),
+            &[split_off_left_of(8)],
+        );
+        for y in 0..24 {
+            for x in 0..16 {
+                let wanted = if x < 8 { 3 } else { 1 };
+                assert_eq!(scene.instances[0][(x, y)], wanted, "({x}, {y})");
+            }
+        }
+    }
+
+    #[test]
+    fn pixels_with_no_way_to_a_point_stay() {
+        let mut map = Map::from_fn(5, 1, |x, _| if x == 2 { 0 } else { 1 });
+        share_out(&mut map, 1, &[(0, 7)]);
+        assert_eq!(map.values(), [7, 7, 0, 1, 1]);
     }
 
     #[test]

@@ -4,7 +4,8 @@ use crate::{
     scene::{Scene, Stage, WriteLock, files},
 };
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
 
 /// `edits.json`: what has been done to a scene, and what has been undone and can be done again.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -103,6 +104,25 @@ impl EditList {
         Ok(())
     }
 
+    /// Makes `wanted` the first of the edits, adding those that are not made yet; says whether there
+    /// were any.
+    ///
+    /// # Errors
+    /// When other edits have been made, or one of `wanted` can be applied to no scene.
+    pub fn begin_with(&mut self, wanted: &[Edit]) -> Result<bool> {
+        let made = self.edits.len().min(wanted.len());
+        if self.edits[..made] != wanted[..made] {
+            return Err(Error::request(
+                "other edits have been made of the scene than those that are asked for",
+                "undo them with `tid3r edit SCENE clear`, or do not ask for edits",
+            ));
+        }
+        for edit in &wanted[made..] {
+            self.push(edit.clone())?;
+        }
+        Ok(wanted.len() > made)
+    }
+
     /// Undoes the last edit; `None` when there is none.
     pub fn undo(&mut self) -> Option<&Edit> {
         self.undone.push(self.edits.pop()?);
@@ -119,6 +139,28 @@ impl EditList {
         self.edits.push(self.undone.pop()?);
         self.edits.last()
     }
+}
+
+/// Reads edits from a JSON file: a list of them, or the `edits.json` of a scene.
+///
+/// # Errors
+/// When the file cannot be read, holds something else, or an edit that can be applied to no scene.
+pub fn read_edits(path: &Path) -> Result<Vec<Edit>> {
+    let remedy = "`tid3r edit SCENE list --json` shows how edits are written";
+    let mut content: Value = files::read_json(path, remedy)?;
+    let list = match content.get_mut("edits") {
+        Some(edits) => edits.take(),
+        None => content,
+    };
+    let edits: Vec<Edit> = serde_json::from_value(list)
+        .map_err(|error| Error::file(path, format!("is no list of edits ({error})"), remedy))?;
+    for edit in &edits {
+        edit.check().map_err(|problem| {
+            let problem = format!("holds an edit that cannot be: {problem}");
+            Error::file(path, problem, remedy)
+        })?;
+    }
+    Ok(edits)
 }
 
 fn file(scene: &Scene) -> PathBuf {
@@ -151,5 +193,20 @@ mod tests {
         list.undo_all();
         assert!(list.edits().is_empty());
         assert_eq!(list.redo(), Some(&remove(1)));
+    }
+
+    #[test]
+    fn wanted_edits_are_made_once() {
+        let edits = [1, 2, 3].map(|id| Edit::Remove {
+            instances: vec![id],
+        });
+        let mut list = EditList::default();
+        assert!(list.begin_with(&edits[..2]).unwrap());
+        assert!(!list.begin_with(&edits[..2]).unwrap(), "they are there");
+        assert!(list.begin_with(&edits).unwrap());
+        assert!(!list.begin_with(&edits[..1]).unwrap(), "more may follow");
+        assert_eq!(list.edits(), edits);
+        assert!(list.begin_with(&edits[1..]).is_err());
+        assert_eq!(list.edits(), edits, "and stay");
     }
 }

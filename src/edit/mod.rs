@@ -4,16 +4,20 @@
 
 mod apply;
 mod colour;
+mod instance_list;
 mod list;
 mod placement;
+mod split;
 mod stage;
 
 pub use apply::{Edited, apply};
 pub use colour::{ColourChange, Hex};
-pub use list::EditList;
+pub use instance_list::InstanceList;
+pub use list::{EditList, read_edits};
 pub use placement::Placement;
 pub(crate) use placement::floor_box;
-pub use stage::{InstanceList, edited, restyle, write_overviews};
+pub use split::{MOST_CLUSTERS, SplitBy};
+pub use stage::{SplitRequest, edited, instances, restyle, split, write_overviews};
 
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +31,25 @@ pub enum Edit {
         instance: u32,
         /// What it is called from now on.
         name: String,
+    },
+    /// Makes instances one.
+    Merge {
+        /// Whose id and name stay.
+        instance: u32,
+        /// Those that become part of it, and are no more.
+        others: Vec<u32>,
+        /// What it is called from now on, if not what it was called before.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        name: Option<String>,
+    },
+    /// Makes parts of an instance instances of their own.
+    Split {
+        /// Which; one part keeps its id and name.
+        instance: u32,
+        /// What says which part a point belongs to.
+        by: SplitBy,
+        /// The ids of the other parts.
+        parts: Vec<u32>,
     },
     /// Deletes the points of instances.
     Remove {
@@ -74,14 +97,25 @@ impl Edit {
     /// # Errors
     /// What is wrong with it.
     fn check(&self) -> Result<(), String> {
+        let new = self.new_instances();
+        if let Some(id) = new.iter().find(|&&id| id == 0 || id == u32::MAX) {
+            return Err(format!("no instance can have the id {id}"));
+        }
+        if (1..new.len()).any(|k| new[k] <= new[k - 1]) {
+            return Err(format!("new ids have to ascend, unlike {new:?}"));
+        }
         match self {
-            Self::Move { placement, .. } => placement.check(),
-            Self::Duplicate {
-                copy, placement, ..
-            } => match *copy {
-                0 | u32::MAX => Err(format!("no copy can have the id {copy}")),
-                _ => placement.check(),
-            },
+            Self::Merge {
+                instance, others, ..
+            } => {
+                if others.is_empty() || others.contains(instance) {
+                    return Err("only instances that differ can be merged".into());
+                }
+                Ok(())
+            }
+            Self::Split { by, .. } if new.is_empty() => Err(format!("no part is split off {by}")),
+            Self::Split { by, .. } => by.check(),
+            Self::Move { placement, .. } | Self::Duplicate { placement, .. } => placement.check(),
             Self::Restyle { style } => {
                 let plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
                 if style.is_empty() || !style.chars().all(plain) {
@@ -95,6 +129,32 @@ impl Edit {
             | Self::Recolour { .. } => Ok(()),
         }
     }
+
+    /// The instances that the edit is about, which there must be.
+    fn named_instances(&self) -> Vec<u32> {
+        match self {
+            Self::Rename { instance, .. }
+            | Self::Split { instance, .. }
+            | Self::Move { instance, .. }
+            | Self::Duplicate { instance, .. } => vec![*instance],
+            Self::Merge {
+                instance, others, ..
+            } => std::iter::once(instance).chain(others).copied().collect(),
+            Self::Remove { instances }
+            | Self::KeepOnly { instances }
+            | Self::Recolour { instances, .. } => instances.clone(),
+            Self::Restyle { .. } => Vec::new(),
+        }
+    }
+
+    /// The instances that there are from this edit on.
+    fn new_instances(&self) -> &[u32] {
+        match self {
+            Self::Split { parts, .. } => parts,
+            Self::Duplicate { copy, .. } => std::slice::from_ref(copy),
+            _ => &[],
+        }
+    }
 }
 
 /// What an edit does, in a few words.
@@ -105,6 +165,20 @@ pub fn describe(edit: &Edit) -> String {
     };
     match edit {
         Edit::Rename { instance, name } => format!("instance {instance} is called '{name}'"),
+        Edit::Merge {
+            instance,
+            others,
+            name,
+        } => {
+            let called = name.as_ref().map(|name| format!(", called '{name}'"));
+            let called = called.unwrap_or_default();
+            format!("merge {} into {instance}{called}", list(others))
+        }
+        Edit::Split {
+            instance,
+            by,
+            parts,
+        } => format!("split {instance} {by}: new are {}", list(parts)),
         Edit::Remove { instances } => format!("remove {}", list(instances)),
         Edit::KeepOnly { instances } => format!("keep only {}", list(instances)),
         Edit::Move {

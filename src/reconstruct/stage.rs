@@ -100,8 +100,7 @@ impl NewScene<'_> {
             },
         )?;
         scene.write_timing("reconstruct", start, lock)?;
-        // Poses as every later process will read them.
-        Scene::open(folder)
+        scene.reopened()
     }
 }
 

@@ -62,7 +62,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
 ///
 /// # Errors
 /// When the file cannot be read.
-pub(super) fn read(path: &Path, remedy: &str) -> Result<Vec<u8>> {
+pub(crate) fn read(path: &Path, remedy: &str) -> Result<Vec<u8>> {
     fs::read(path).map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => Error::file(path, "is missing", remedy),
         _ => Error::io("read", path)(error),

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs::{self, File, TryLockError},
     io::ErrorKind,
     path::{Path, PathBuf},
@@ -30,6 +30,8 @@ pub struct Scene {
     /// The manifest as it stands in the file. A pose is made exactly orthonormal when it is read, so
     /// poses that were read and written again would drift.
     as_stored: Value,
+    /// The stages that were run since the scene was opened.
+    ran: BTreeSet<Stage>,
 }
 
 /// The right to write to a scene folder: one process at a time, given back when dropped and by the
@@ -146,6 +148,7 @@ impl Scene {
             folder: folder.to_path_buf(),
             manifest,
             as_stored: value,
+            ran: BTreeSet::new(),
         })
     }
 
@@ -158,6 +161,19 @@ impl Scene {
             folder: folder.to_path_buf(),
             as_stored: to_value(&manifest)?,
             manifest,
+            ran: BTreeSet::new(),
+        })
+    }
+
+    /// The scene, its poses as every later process will read them.
+    ///
+    /// # Errors
+    /// As [`Scene::open`].
+    pub(crate) fn reopened(self) -> Result<Self> {
+        let again = Self::open(&self.folder)?;
+        Ok(Self {
+            ran: self.ran,
+            ..again
         })
     }
 
@@ -419,9 +435,15 @@ impl Scene {
             };
             self.manifest.stages.insert(stage, record);
             self.write_manifest()?;
+            self.ran.insert(stage);
             self.write_timing(&format!("{stage:?}").to_lowercase(), start, lock)?;
         }
         self.require(stage)
+    }
+
+    /// Whether a stage was run since the scene was opened, rather than found in place.
+    pub fn has_run(&self, stage: Stage) -> bool {
+        self.ran.contains(&stage)
     }
 
     /// Takes `points.ply` away before a stage that changes the cloud; [`Scene::restore_points`] writes

@@ -3,14 +3,14 @@ use crate::{edit::floor_box, geometry::Point, geometry::Pose};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// An instance, as `instances.json` lists it (before edits).
+/// An instance: as `instances.json` lists it, before edits, or as edits left it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InstanceRecord {
     /// By which it is called; 1 has the largest area in the frames.
     pub id: u32,
     /// What people may call it too.
     pub name: String,
-    /// How many points of the cleaned cloud it has.
+    /// How many points of the cloud it has.
     pub points: usize,
     /// How well the views agree on it, 0 to 1.
     pub score: f64,
@@ -23,10 +23,22 @@ pub struct InstanceRecord {
 }
 
 impl InstanceRecord {
-    /// The instances of a cloud that have points; `scores` belong to ids 1, 2, …
+    /// Width, depth and height: along the floor's x, its y, and up.
+    pub fn size(&self) -> [f64; 3] {
+        self.floor_box.map(|[low, high]| high - low)
+    }
+
+    /// Where it stands: the middle of its base, in the floor's frame.
+    pub fn place(&self) -> [f64; 3] {
+        let [x, y, [base, _]] = self.floor_box;
+        let middle = |[low, high]: [f64; 2]| f64::midpoint(low, high);
+        [middle(x), middle(y), base]
+    }
+
+    /// The instances of a cloud that have points.
     pub(crate) fn all(
         cloud: &Cloud,
-        scores: &[f64],
+        score: impl Fn(u32) -> f64,
         frames: &[FrameRecord],
         floor_to_world: &Pose,
     ) -> Vec<Self> {
@@ -54,7 +66,7 @@ impl InstanceRecord {
                     id,
                     name: format!("instance {id}"),
                     points: indices.len(),
-                    score: scores.get(id as usize - 1).copied().unwrap_or(0.0),
+                    score: score(id),
                     photos: seen
                         .iter()
                         .map(|&frame| frames[frame as usize].photo.name.clone())

@@ -14,6 +14,7 @@
 //! instances.json                  the instances: name, size, where seen
 //! edits.json                      the list of edits
 //! points.ply                      the cleaned cloud, before edits
+//! edited.ply                      the edited cloud, if `tid3r run` made it
 //! contact_sheet.png, top_down.png every instance with its id
 //! views/                          rendered pictures
 //! timings.json                    how long each stage took (nothing else in the folder depends on the clock)

@@ -150,12 +150,15 @@ impl Segmentation<'_> {
         }
         let cloud = Cloud::from_frames(frames, validity, Some(&instances.labels));
         let manifest = scene.manifest();
-        let records = InstanceRecord::all(
-            &cloud,
-            &instances.scores,
-            &manifest.frames,
-            &manifest.floor_to_world,
-        );
+        let score = |id: u32| {
+            instances
+                .scores
+                .get(id as usize - 1)
+                .copied()
+                .unwrap_or(0.0)
+        };
+        let records =
+            InstanceRecord::all(&cloud, score, &manifest.frames, &manifest.floor_to_world);
         files::write_json(&scene.folder().join("instances.json"), &records)?;
         let report = SegmentReport {
             masks: labels

@@ -157,6 +157,17 @@ fn edits_that_cannot_be() {
         with(json!({"edit": "move", "instance": 1, "placement": placement(1.0, 1e300)})),
         with(json!({"edit": "duplicate", "instance": 1, "copy": u32::MAX,
                     "placement": placement(1.0, 0.0)})),
+        with(json!({"edit": "merge", "instance": 1, "others": []})),
+        with(json!({"edit": "merge", "instance": 1, "others": [2, 1]})),
+        with(
+            json!({"edit": "split", "instance": 1, "by": {"clusters": {"count": 1}}, "parts": [6]}),
+        ),
+        with(
+            json!({"edit": "split", "instance": 1, "by": {"clusters": {"count": 2}}, "parts": []}),
+        ),
+        with(
+            json!({"edit": "split", "instance": 1, "by": {"clusters": {"count": 2}}, "parts": [6, 6]}),
+        ),
     ] {
         place.write("scene/edits.json", &content);
         for verb in ["render scene", "edit scene list", "edit scene remove 2"] {
@@ -196,7 +207,7 @@ fn a_list_of_instances_that_cannot_be() {
             None => fs::remove_file(place.path("scene/instances.json")).unwrap(),
         }
         for verb in [
-            "edit scene list",
+            "instances list scene",
             "evaluate scene --truth-labels truth",
             "edit scene remove 1",
         ] {
@@ -231,6 +242,7 @@ fn one_writes_while_others_may_read() {
     assert_same_files(&place.files("scene"), &before);
     for verb in [
         "edit scene list",
+        "instances list scene",
         "export scene -o cloud.ply",
         "evaluate scene",
     ] {

@@ -9,7 +9,7 @@ use std::{collections::BTreeMap, fs, io::BufReader, path::Path};
 pub(crate) struct PlyPoint {
     pub(crate) position: [f64; 3],
     pub(crate) colour: [f64; 3],
-    instance: i32,
+    pub(crate) instance: i32,
     confidence: f64,
 }
 
@@ -63,7 +63,7 @@ fn the_cloud_is_written_with_its_instances() {
 fn some_instances_can_be_exported_by_themselves() {
     let place = Place::with_scene();
     let [red, blue] = place.boxes();
-    place.run(&format!("edit scene rename {blue} shelf"));
+    place.run(&format!("instances rename scene {blue} shelf"));
     for only in [format!("{red},shelf"), format!("{red} SHELF")] {
         place.run(&format!("export scene -o two.ply --only {only}"));
         let mut found: Vec<u64> = read(&place.path("two.ply"))

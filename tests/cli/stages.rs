@@ -128,6 +128,7 @@ fn edits_of_instances_that_are_no_more_are_refused() {
     for verb in [
         "render scene",
         "edit scene list",
+        "instances list scene",
         "edit scene undo",
         "export scene -o a.ply",
     ] {

@@ -17,6 +17,28 @@ fn every_verb_explains_itself() {
         ),
         ("clean", &["--tau", "--agreement", "--json"]),
         ("segment", &["--masks", "--eta", "--no-unify", "--json"]),
+        ("instances", &["list", "merge", "split", "rename"]),
+        (
+            "instances split",
+            &["--components", "--gap", "--clusters", "--above", "--box"],
+        ),
+        (
+            "run",
+            &[
+                "--output",
+                "--weights-dir",
+                "--focal",
+                "--tau",
+                "--masks",
+                "--eta",
+                "--edits",
+                "--remove",
+                "--orbit",
+                "--refine",
+                "--force",
+                "--json",
+            ],
+        ),
         ("edit", &["remove", "move", "recolour", "undo"]),
         ("edit scene move", &["--by", "--to", "--turn", "--scale"]),
         ("edit scene recolour", &["--to", "--hue"]),
@@ -38,7 +60,10 @@ fn every_verb_explains_itself() {
         ),
         ("demo", &["--output", "--seed", "--width", "--json"]),
         ("completions", &["bash", "zsh", "fish"]),
-        ("", &["import", "segment", "demo", "--version"]),
+        (
+            "",
+            &["run", "import", "segment", "instances", "demo", "--version"],
+        ),
     ] {
         let help = place.run(&format!("{verb} --help"));
         for option in options {
@@ -108,6 +133,8 @@ fn a_reader_that_goes_away_is_no_failure() {
     let place = Place::with_scene();
     for arguments in [
         "completions zsh",
+        "instances list scene --json",
+        "instances list scene",
         "edit scene list --json",
         "edit scene list",
         "evaluate scene --json",
