@@ -18,7 +18,7 @@ fn main() -> Result<()> {
     let (runs, height, width) = (number(5)?, number(768)?, number(1024)?);
     let config = Config::released();
     let work = Work::new(&config, (height, width))?;
-    let weights = Weights::from_fn(|name, shape| made_up(name, shape), &Device::Cpu);
+    let weights = Weights::from_fn(made_up, &Device::Cpu);
     let detector = Detector::new(&config, &weights)?;
     let numbers = numbers(height * width * 3).map(|value| value + 0.5);
     let image = Tensor::from_vec(numbers.collect(), (1, height, width, 3), &Device::Cpu)?;

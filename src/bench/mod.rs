@@ -245,6 +245,10 @@ pub fn run(
     rows.collect()
 }
 
+#[expect(
+    clippy::needless_pass_by_value,
+    reason = "this is what `map_err` hands over"
+)]
 fn failed(error: candle_core::Error) -> Error {
     Error::request(
         format!(

@@ -46,7 +46,7 @@ pub(super) fn trials(
             options.paths,
             options.gaussians,
         );
-        let (network, options) = (Rc::clone(&network), options.clone());
+        let network = Rc::clone(&network);
         Ok(Trial {
             load: Load {
                 views: Some(views),

@@ -22,7 +22,7 @@ pub(super) const MV_DUST3R: Network = Network {
     licence: "CC BY-NC 4.0, non-commercial use only",
     parameters: 547_989_522,
     released: || super::Config::MvDust3r(Config::mv_dust3r()),
-    tiny: || tiny(Config::mv_dust3r()),
+    tiny: || tiny(&Config::mv_dust3r()),
     adjustments: &[],
 };
 
@@ -33,7 +33,7 @@ pub(super) const MV_DUST3R_PLUS: Network = Network {
     files: &["checkpoints/MVDp_s2.pth", "checkpoints/MVDp_s1.pth"],
     parameters: 661_429_266,
     released: || super::Config::MvDust3r(Config::mv_dust3r_plus()),
-    tiny: || tiny(Config::mv_dust3r_plus()),
+    tiny: || tiny(&Config::mv_dust3r_plus()),
     ..MV_DUST3R
 };
 
@@ -45,7 +45,7 @@ const DEEPEST: usize = 1 << 10;
 const REFERENCES: usize = 4;
 
 /// Widths and depths with which the network runs in a moment.
-fn tiny(released: Config) -> super::Config {
+fn tiny(released: &Config) -> super::Config {
     super::Config::MvDust3r(Config {
         enc_embed_dim: 32,
         enc_depth: 2,
@@ -55,7 +55,7 @@ fn tiny(released: Config) -> super::Config {
         dec_num_heads: 2,
         skip_dim: 8,
         gs_mlp_dim: 16,
-        ..released
+        ..released.clone()
     })
 }
 

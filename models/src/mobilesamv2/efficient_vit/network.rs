@@ -98,12 +98,15 @@ mod tests {
             ..Config::released()
         };
         let make = |name: &str, shape: &[usize]| {
-            let seed = name.len();
-            let value = move |i: usize| ((i * 7919 + seed) % 1009) as f32 / 1009.0 - 0.4;
-            (0..shape.iter().product())
-                .map(value)
-                .map(f32::abs)
-                .collect()
+            let fan_in: usize = shape.iter().skip(1).product();
+            let value = |i: usize| {
+                let wave = ((i * 7 + name.len()) as f32).sin() / (fan_in as f32).sqrt();
+                match name.ends_with("running_var") {
+                    true => 1.0 + wave.abs(),
+                    false => wave,
+                }
+            };
+            (0..shape.iter().product()).map(value).collect()
         };
         EfficientVit::new(&config, &Weights::from_fn(make, &Device::Cpu)).unwrap()
     }
