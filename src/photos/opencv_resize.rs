@@ -1,6 +1,6 @@
 //! Resizing as OpenCV does it, to the bit: what a network was trained on is what it should see.
 //!
-//! Unlike [`super::pillow_resize`] this does not widen the filter when shrinking, so that fine patterns
+//! Unlike [`super::pillow_resize()`] this does not widen the filter when shrinking, so that fine patterns
 //! alias: two pixels of each row and two rows make up a pixel, whatever the sizes.
 
 use image::RgbImage;
