@@ -158,13 +158,13 @@ impl InstanceList {
     }
 
     fn unknown(&self, called: &str) -> Error {
-        Error::request(
-            format!("there is no instance '{called}'"),
-            format!(
-                "the instances are {}; contact_sheet.png shows them",
-                self.summary()
-            ),
-        )
+        let remedy = match self.summary() {
+            none if none.is_empty() => {
+                "there are none; `tid3r edit SCENE undo` brings back what was removed".to_owned()
+            }
+            known => format!("the instances are {known}; contact_sheet.png shows them"),
+        };
+        Error::request(format!("there is no instance '{called}'"), remedy)
     }
 
     /// The first of the ids that no instance has, nor had before it was removed.

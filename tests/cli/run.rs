@@ -43,6 +43,25 @@ fn done(report: &Value) -> Vec<&str> {
 }
 
 #[test]
+fn masks_come_from_mobilesamv2_where_its_weights_are() {
+    let place = place();
+    for network in ["detector", "efficientvit-l2", "decoder"] {
+        place.run_loud(&format!(
+            "weights synthesize mobilesamv2-{network} --tiny -o models/mobilesamv2-{network}"
+        ));
+    }
+    // Made-up weights find little that they are sure of.
+    let [out, err] = place.run_loud(&format!(
+        "{RUN} --json --confidence 0.01 --max-masks 4 --detector-size 64 --min-mask-area 0 --duplicates 1"
+    ));
+    let report: Value = serde_json::from_str(&out).unwrap();
+    assert!(err.contains("5 photos to cut: about"), "{err}");
+    assert_eq!(done(&report), ["reconstruct", "clean", "segment", "render"]);
+    let masks = report["segment"]["masks"].as_u64().unwrap();
+    assert!((1..=20).contains(&masks), "{report}");
+}
+
+#[test]
 fn one_command_does_what_the_verbs_do() {
     let place = place();
     let all = report(&place, "");
