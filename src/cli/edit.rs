@@ -31,6 +31,19 @@ enum Action {
         #[arg(long)]
         json: bool,
     },
+    #[command(flatten)]
+    Add(NewEdit),
+    /// Undo the last edit
+    Undo,
+    /// Do the last undone edit again
+    Redo,
+    /// Undo all edits
+    Clear,
+}
+
+/// An edit to be added to the list.
+#[derive(Debug, Subcommand)]
+enum NewEdit {
     /// Remove instances
     Remove {
         /// Ids or names
@@ -65,12 +78,6 @@ enum Action {
         #[arg(value_name = "FOLDER")]
         photos: PathBuf,
     },
-    /// Undo the last edit
-    Undo,
-    /// Do the last undone edit again
-    Redo,
-    /// Undo all edits
-    Clear,
 }
 
 /// Where an instance goes.
@@ -136,7 +143,7 @@ impl Edit {
                     Ok("all edits undone".into())
                 })
             }
-            action => add(folder, |scene, list, lock| action.edit(scene, list, lock)),
+            Action::Add(edit) => add(folder, |scene, list, lock| edit.resolved(scene, list, lock)),
         }
     }
 }
@@ -182,9 +189,9 @@ pub(super) fn resolve_all(list: &InstanceList, called: &[String]) -> tid3r::Resu
     called.iter().map(|called| list.resolve(called)).collect()
 }
 
-impl Action {
-    /// The edit that is asked for; actions on the list itself are none.
-    fn edit(self, scene: &Scene, list: &EditList, lock: &WriteLock) -> Result<edit::Edit> {
+impl NewEdit {
+    /// The edit, with the ids of the instances that it names.
+    fn resolved(self, scene: &Scene, list: &EditList, lock: &WriteLock) -> Result<edit::Edit> {
         let known = InstanceList::load(scene, list.edits())?;
         Ok(match self {
             Self::Remove { instances } => edit::Edit::Remove {
@@ -207,9 +214,6 @@ impl Action {
                 instances: resolve_all(&known, &recolour.instances)?,
             },
             Self::Restyle { photos } => edit::restyle(scene, &photos, lock)?,
-            Self::List { .. } | Self::Undo | Self::Redo | Self::Clear => {
-                unreachable!("actions on the list are done before")
-            }
         })
     }
 }
