@@ -146,6 +146,14 @@ impl Case {
         }
     }
 
+    /// The file or folder that the case has its weights from.
+    pub(crate) fn source(&self) -> Result<PathBuf> {
+        match &self.file.weights {
+            WeightsOf::File(name) => Ok(self.folder.join(name)),
+            WeightsOf::SyntheticSeed(_) => bail!("the weights are in no file"),
+        }
+    }
+
     /// The weights in the case's checkpoint under the names that they have there, with those that the
     /// network has no use for.
     pub(crate) fn unconverted_weights(&self) -> Result<Weights> {
