@@ -1,7 +1,9 @@
 //! See3D: its networks and what is around them.
 
+mod clip;
 mod schedule;
 mod unet;
+mod vae;
 
 use crate::Runner;
 use anyhow::Result;
@@ -10,7 +12,11 @@ use candle_core::Tensor;
 /// What computes the tensors of `model`.
 pub(crate) fn runner(model: &str) -> Option<Runner> {
     Some(match model {
+        "AutoencoderKL" => vae::network,
         "BasicTransformerBlock3D" => unet::transformer_block,
+        "CLIPTextModel" => clip::text,
+        "CLIPTokenizer" => clip::tokenizer,
+        "CLIPVisionModelWithProjection" => clip::vision,
         "Downsample+Upsample" => unet::resample,
         "FeedForward" => unet::feed_forward,
         "MultiViewUNetModel" => unet::network,

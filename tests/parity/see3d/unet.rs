@@ -2,17 +2,19 @@
 
 use super::{channels_first, channels_last};
 use crate::{case::Case, comparison::Comparison};
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use candle_core::Tensor;
 use serde::Deserialize;
+use std::fs;
 use tid3r_models::{
-    Observer, Weights,
+    Observer,
     nn::Precision,
     see3d::unet::{
-        Config, Downsample, Embedding, FeedForward, ResBlock, SpatialTransformer, TransformerBlock,
+        Downsample, Embedding, FeedForward, ResBlock, SpatialTransformer, TransformerBlock,
         Unet, Upsample, timestep_embedding,
     },
 };
+use tid3r_weights_convert::Config as Converted;
 
 /// Sinusoidal embeddings.
 pub(crate) fn timesteps(case: &Case, comparison: &mut Comparison) -> Result<()> {
@@ -161,6 +163,17 @@ impl Observer for Blocks<'_, '_> {
     }
 }
 
+/// The network in the folder that a case names, with the configuration beside it.
+fn from_file(case: &Case) -> Result<Unet> {
+    let converted = case.converted()?;
+    let entry = fs::read_dir(converted.folder())?.next();
+    let name = entry.context("nothing was converted")??.file_name();
+    match converted.network(&name.to_string_lossy())? {
+        (Converted::Unet(config), weights) => Ok(Unet::new(&config.unet, &weights)?),
+        (other, _) => bail!("{other:?} is no UNet"),
+    }
+}
+
 /// The whole network.
 pub(crate) fn network(case: &Case, comparison: &mut Comparison) -> Result<()> {
     #[derive(Deserialize)]
@@ -168,8 +181,10 @@ pub(crate) fn network(case: &Case, comparison: &mut Comparison) -> Result<()> {
         num_frames: usize,
     }
     let Call { num_frames } = case.config()?;
-    let (config, weights): (Config, Weights) = (case.config()?, case.weights()?);
-    let network = Unet::new(&config, &weights)?;
+    let network = match case.source() {
+        Err(_) => Unet::new(&case.config()?, &case.weights()?)?,
+        Ok(_) => from_file(case)?,
+    };
     let x = channels_last(case.input("x")?)?;
     let timesteps: Vec<f32> = case.input("timesteps")?.to_vec1()?;
     let context = network.context(case.input("context")?)?;
