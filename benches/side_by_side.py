@@ -1,11 +1,12 @@
 """Times the original networks in PyTorch and tid3r side by side, on the CPU.
 
-Each round runs both for every load (numbers of photos, of boxes), one right after the other, and rounds
+Each round runs both for every load (numbers of photos, of boxes, of frames), one right after the other, and rounds
 take turns in which goes first. Every run is a process of its own: one forward pass that is not timed, one
 that is. The table gives medians over the rounds of the seconds, and the most memory that a process of either
 had resident (for PyTorch from its start, libraries and construction included; for tid3r from when its
 weights stand in memory). Weights are random, of full size, and so are the inputs, in single precision:
-speed depends on neither. MV-DUSt3R(+) sees pictures of 224x224, MobileSAMv2 of 1024x1024.
+speed depends on neither. MV-DUSt3R(+) sees pictures of 224x224, MobileSAMv2 of 1024x1024. See3D's UNet denoises
+one group of frames of 256x256 (32x32 latents), its VAE decodes 256x256, its CLIPs see one picture and one text.
 
 Figures count on an idle machine only: other work slows the two sides by different factors. On Linux the
 script measures how many cores other processes kept busy during each run, and says so.
@@ -19,13 +20,17 @@ Needs a release build of tid3r, and
 - for MV-DUSt3R(+) a checkout of https://github.com/facebookresearch/mvdust3r, and a Python with torch, numpy,
   einops and huggingface_hub;
 - for MobileSAMv2 a checkout of https://github.com/ChaoningZhang/MobileSAM, and a Python with torch,
-  torchvision, timm, numpy, opencv-python-headless, pyyaml, requests, tqdm and setuptools < 81.
+  torchvision, timm, numpy, opencv-python-headless, pyyaml, requests, tqdm and setuptools < 81;
+- for See3D a checkout of https://github.com/baaivision/See3D, and a Python with torch, numpy < 2, einops, diffusers
+  0.27, transformers 4.41 and huggingface_hub < 0.26. Its attention is PyTorch's own instead of xformers', which
+  has none for CPUs.
 
 Other packages that the originals import, their networks do not use; where they are missing, empty
 stand-ins take their place.
 
     python3 benches/side_by_side.py --upstream ../mvdust3r --tid3r target/release/tid3r --threads 2
     python3 benches/side_by_side.py --upstream ../MobileSAM --tid3r target/release/tid3r --model mobilesamv2-decoder
+    python3 benches/side_by_side.py --upstream ../See3D --tid3r target/release/tid3r --model see3d-sparse --load 3
 """
 
 from __future__ import annotations
@@ -56,6 +61,7 @@ UNUSED = {
     "cv2",
     "gsplat",
     "imageio",
+    "kiui",
     "matplotlib",
     "onnx",
     "onnxsim",
@@ -238,6 +244,78 @@ def mobilesamv2(upstream: Path, model: str, boxes: int) -> Callable[[], object]:
     return lambda: encoder(picture)
 
 
+def see3d(upstream: Path, model: str, frames: int) -> Callable[[], object]:
+    """A network of the original See3D; the UNet denoises one group of `frames` frames."""
+    import torch
+
+    if model == "see3d-sparse":
+        import diffusers.models.modeling_utils  # noqa: F401  before the stand-ins: it looks for what is installed
+
+        attention = types.ModuleType("xformers.ops")
+        attention.memory_efficient_attention = lambda q, k, v, attn_bias, op: (
+            torch.nn.functional.scaled_dot_product_attention(q, k, v)
+        )
+        package = types.ModuleType("xformers")
+        package.ops = attention
+        sys.modules |= {"xformers": package, "xformers.ops": attention}
+        sys.path.insert(0, str(upstream))
+        sys.meta_path.append(StandIns())
+        from mv_unet import MultiViewUNetModel
+
+        unet = MultiViewUNetModel(
+            image_size=32,
+            in_channels=9,
+            model_channels=320,
+            out_channels=4,
+            num_res_blocks=2,
+            attention_resolutions=[4, 2, 1],
+            channel_mult=[1, 2, 4, 4],
+            num_head_channels=64,
+            context_dim=1024,
+        ).eval()
+        latents, timesteps = torch.randn(frames, 9, 32, 32), torch.full([frames], 500.0)
+        context = torch.randn(frames, 77, 1024)
+        return lambda: unet(latents, timesteps, context, num_frames=frames)
+    if model == "see3d-vae":
+        from diffusers import AutoencoderKL
+
+        vae = AutoencoderKL(
+            down_block_types=["DownEncoderBlock2D"] * 4,
+            up_block_types=["UpDecoderBlock2D"] * 4,
+            block_out_channels=[128, 256, 512, 512],
+            layers_per_block=2,
+        ).eval()
+        latents = torch.randn(1, 4, 32, 32)
+        return lambda: vae.decode(latents)
+    import transformers
+
+    if model == "see3d-image-encoder":
+        encoder = transformers.CLIPVisionModelWithProjection(
+            transformers.CLIPVisionConfig(
+                hidden_size=1280,
+                intermediate_size=5120,
+                projection_dim=1024,
+                num_hidden_layers=32,
+                num_attention_heads=16,
+                patch_size=14,
+                hidden_act="gelu",
+            )
+        ).eval()
+        picture = torch.randn(1, 3, 224, 224)
+        return lambda: encoder(picture)
+    text_encoder = transformers.CLIPTextModel(
+        transformers.CLIPTextConfig(
+            hidden_size=1024,
+            intermediate_size=4096,
+            num_hidden_layers=23,
+            num_attention_heads=16,
+            hidden_act="gelu",
+        )
+    ).eval()
+    tokens = torch.tensor([[49406, 49407] + [0] * 75])
+    return lambda: text_encoder(tokens)
+
+
 MODELS = {
     "mvdust3r": ("views", mvdust3r),
     "mvdust3r-plus": ("views", mvdust3r),
@@ -246,12 +324,17 @@ MODELS = {
     "mobilesamv2-tiny-vit": (None, mobilesamv2),
     "mobilesamv2-sam-vit-h": (None, mobilesamv2),
     "mobilesamv2-decoder": ("boxes", mobilesamv2),
+    "see3d-sparse": ("views", see3d),
+    "see3d-vae": (None, see3d),
+    "see3d-image-encoder": (None, see3d),
+    "see3d-text-encoder": (None, see3d),
 }
 """For each network, what its load is counted in, and what makes the original."""
 
 UPSTREAM = {
     mvdust3r: ("facebookresearch/mvdust3r", "dust3r/model.py"),
     mobilesamv2: ("ChaoningZhang/MobileSAM", "MobileSAMv2/mobilesamv2/build_sam.py"),
+    see3d: ("baaivision/See3D", "mv_unet.py"),
 }
 """For each maker, the repository of the original, and a file by which a checkout is known."""
 
@@ -301,6 +384,8 @@ def run_tid3r(args: argparse.Namespace, load: int) -> tuple[float, int | None]:
     unit, _ = MODELS[args.model]
     if unit:
         command += [f"--{unit}", str(load)]
+    if args.model in ("see3d-sparse", "see3d-vae"):
+        command += ["--size", "256"]
     command += ["--threads", str(args.threads), "--runs", "1", "--json", "--quiet"]
     if args.all_outputs:
         command += ["--gaussians", "--all-paths"]
@@ -360,7 +445,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--upstream", type=Path, required=True, help="checkout of the original")
     parser.add_argument("--tid3r", type=Path, required=True, help="the program, built with --release")
     parser.add_argument("--model", choices=MODELS, default="mvdust3r", metavar="NAME", help=", ".join(MODELS))
-    parser.add_argument("--load", type=numbers, dest="loads", metavar="N,..", help="photos (4,8) or boxes (100)")
+    parser.add_argument("--load", type=numbers, dest="loads", metavar="N,..", help="photos (4,8), boxes (100) or frames (3)")
     parser.add_argument("--threads", type=positive, default=2, help="threads of each side (default: %(default)s)")
     parser.add_argument("--rounds", type=positive, default=3, help="timed runs of each side (default: %(default)s)")
     parser.add_argument("--all-outputs", action="store_true", help="let MV-DUSt3R compute Gaussians and all paths")
@@ -369,6 +454,8 @@ def arguments() -> argparse.Namespace:
 
     unit, original = MODELS[args.model]
     loads = {"views": [4, 8], "boxes": [100], None: [1]}[unit]
+    if original is see3d and unit:
+        loads = [3]
     args.loads = args.loads or loads
     least = {"mvdust3r": 2, "mvdust3r-plus": REFERENCES}.get(args.model, 1)
     if min(args.loads) < least:
