@@ -23,6 +23,7 @@ pub mod mobilesamv2;
 pub mod mvdust3r;
 pub mod nn;
 mod observer;
+pub mod see3d;
 mod weights;
 
 pub use observer::{Observer, Unobserved};

@@ -63,6 +63,17 @@ impl Weights {
         Ok(Self::of(Source::File(MappedFile::open(path)?), device))
     }
 
+    /// As [`Self::open`], for networks whose memory matters more than the time to read them: where
+    /// layers can, they keep numbers of half precision as they are in the file, and widen them when they
+    /// use them.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::open`].
+    pub fn open_compact(path: &Path, device: &Device) -> Result<Self> {
+        Self::open(path, device)
+    }
+
     /// Weights made by `make` from name and shape (values row-major), when they are asked for.
     pub fn from_fn(
         make: impl Fn(&str, &[usize]) -> Vec<f32> + Send + Sync + 'static,
@@ -295,6 +306,34 @@ impl Parameter {
         }
     }
 
+    /// The rows of these numbers of a matrix, in this order: (rows, columns). So tokens get their
+    /// embeddings.
+    ///
+    /// # Errors
+    ///
+    /// If this is no matrix or has no such row.
+    pub fn rows(&self, indices: &[u32]) -> Result<Tensor> {
+        let &[rows, columns] = &self.shape[..] else {
+            bail!("rows of a matrix are wanted, this is {:?}", self.shape);
+        };
+        if let Some(index) = indices.iter().find(|&&index| index as usize >= rows) {
+            bail!("row {index} of {rows} is wanted");
+        }
+        match self.host() {
+            Some(values) => {
+                let rows = indices.iter().map(|&index| index as usize * columns);
+                let values: Vec<f32> = rows
+                    .flat_map(|start| values[start..start + columns].iter().copied())
+                    .collect();
+                Tensor::from_vec(values, (indices.len(), columns), &Device::Cpu)
+            }
+            None => {
+                let tensor = self.tensor()?;
+                tensor.index_select(&Tensor::new(indices, tensor.device())?, 0)
+            }
+        }
+    }
+
     /// As a candle tensor, where it is; on a CPU that is a copy.
     ///
     /// # Errors
@@ -355,6 +394,19 @@ mod tests {
         let b = weights.get([3], "b").unwrap();
         assert_eq!(b.host().unwrap(), [1.0, -2.0, bf16::from_f32(0.1).to_f32()]);
         assert_eq!(weights.unused(), ["n"]);
+    }
+
+    #[test]
+    fn rows_are_picked() {
+        let matrix = Parameter::from_values([3, 2], vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        let rows = matrix.rows(&[2, 0, 2]).unwrap().to_vec2::<f32>().unwrap();
+        assert_eq!(rows, [[4.0, 5.0], [0.0, 1.0], [4.0, 5.0]]);
+        assert!(matrix.rows(&[3]).is_err());
+        assert!(
+            Parameter::from_values([6], vec![0.0; 6])
+                .rows(&[0])
+                .is_err()
+        );
     }
 
     #[test]

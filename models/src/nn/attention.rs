@@ -18,23 +18,55 @@ pub struct Memory {
 /// `softmax(q k^T / sqrt(head_dim)) v` for each head, without a mask (Vaswani et al. 2017).
 ///
 /// `q` is (batch, queries, channels). Its tokens attend to the tokens of all `memories` together, in
-/// one softmax. Channels are divided among `heads`, head after head. The result has the shape of
-/// `q`. The last dimension of every tensor must be contiguous; others may be strided.
+/// one softmax. A memory of a batch of 1 is the same for the whole batch of `q`. Channels are divided
+/// among `heads`, head after head. The result has the shape of `q`. Tensors may be strided; those whose
+/// last dimension is not contiguous are copied.
 ///
 /// # Errors
 ///
 /// If there is no memory or the shapes do not fit each other.
 pub fn attention(q: &Tensor, memories: &[Memory], heads: usize) -> Result<Tensor> {
+    masked(q, memories, heads, None)
+}
+
+/// `softmax(q k^T / sqrt(head_dim)) v` for each head, where a token attends to those up to itself only.
+///
+/// All are (batch, tokens, channels), otherwise as for [`attention()`].
+///
+/// # Errors
+///
+/// If the shapes do not fit each other.
+pub fn causal_attention(q: &Tensor, k: &Tensor, v: &Tensor, heads: usize) -> Result<Tensor> {
+    let (queries, keys) = (q.dim(1)?, k.dim(1)?);
+    if queries != keys {
+        bail!("{queries} queries are not the tokens of {keys} keys");
+    }
+    let score = |query, key| match key <= query {
+        true => 0.0,
+        false => f32::NEG_INFINITY,
+    };
+    let mask: Vec<f32> = (0..queries)
+        .flat_map(|query| (0..keys).map(move |key| score(query, key)))
+        .collect();
+    let memory = Memory {
+        k: k.clone(),
+        v: v.clone(),
+    };
+    masked(q, &[memory], heads, Some(&mask))
+}
+
+/// [`attention()`] where `mask` (queries, keys) is added to the scores of each head.
+fn masked(q: &Tensor, memories: &[Memory], heads: usize, mask: Option<&[f32]>) -> Result<Tensor> {
     let of_host = |memory: &Memory| HostTensor::fits(&memory.k) && HostTensor::fits(&memory.v);
     if HostTensor::fits(q) && memories.iter().all(of_host) {
-        cpu::attention(Isa::current()?, q, memories, heads)
+        cpu::attention(Isa::current()?, q, memories, heads, mask)
     } else {
-        plain(q, memories, heads)
+        plain(q, memories, heads, mask)
     }
 }
 
 /// Attention by candle's own operations.
-fn plain(q: &Tensor, memories: &[Memory], heads: usize) -> Result<Tensor> {
+fn plain(q: &Tensor, memories: &[Memory], heads: usize, mask: Option<&[f32]>) -> Result<Tensor> {
     let (batch, queries, channels) = q.dims3()?;
     if heads == 0 || !channels.is_multiple_of(heads) {
         bail!("{channels} channels cannot be shared among {heads} heads");
@@ -47,12 +79,19 @@ fn plain(q: &Tensor, memories: &[Memory], heads: usize) -> Result<Tensor> {
             .contiguous()
     };
     let all = |of: fn(&Memory) -> &Tensor| -> Result<Tensor> {
-        let parts = memories.iter().map(|memory| of(memory).clone());
-        split(&Tensor::cat(&parts.collect::<Vec<_>>(), 1)?)
+        let parts = memories.iter().map(|memory| match of(memory).dims3()? {
+            (1, tokens, channels) => of(memory).broadcast_as((batch, tokens, channels)),
+            _ => Ok(of(memory).clone()),
+        });
+        split(&Tensor::cat(&parts.collect::<Result<Vec<_>>>()?, 1)?)
     };
     let (q, k, v) = (split(q)?, all(|m| &m.k)?, all(|m| &m.v)?);
     let scale = ((channels / heads) as f64).powf(-0.5);
-    let scores = (q * scale)?.matmul(&k.t()?)?;
+    let mut scores = (q * scale)?.matmul(&k.t()?)?;
+    if let Some(mask) = mask {
+        let mask = Tensor::from_slice(mask, (queries, k.dim(2)?), k.device())?;
+        scores = scores.broadcast_add(&mask.to_dtype(scores.dtype())?)?;
+    }
     let exp = scores
         .broadcast_sub(&scores.max_keepdim(D::Minus1)?)?
         .exp()?;
@@ -247,23 +286,26 @@ mod tests {
         fn as_by_candle(
             batch in 1_usize..3,
             heads in 1_usize..4,
-            dim in prop::sample::select(vec![1, 4, 8, 16, 20, 32, 64]),
+            dim in prop::sample::select(vec![1, 4, 8, 16, 20, 32, 64, 80]),
             queries in 1_usize..75,
-            keys in prop::collection::vec(1_usize..80, 1..4),
+            keys in prop::collection::vec((1_usize..80, any::<bool>()), 1..4),
             many in prop::bool::weighted(0.1),
         ) {
             let q = tokens(batch, queries, heads * dim);
             let more = if many { 1100 } else { 0 };
             let memories: Vec<Memory> = keys
                 .iter()
-                .map(|&keys| Memory {
-                    k: tokens(batch, keys + more, heads * dim),
-                    v: tokens(batch, keys + more, heads * dim),
+                .map(|&(keys, same)| {
+                    let batch = if same { 1 } else { batch };
+                    Memory {
+                        k: tokens(batch, keys + more, heads * dim),
+                        v: tokens(batch, keys + more, heads * dim),
+                    }
                 })
                 .collect();
-            let want = plain(&q, &memories, heads).unwrap();
+            let want = plain(&q, &memories, heads, None).unwrap();
             for isa in Isa::available() {
-                let got = cpu::attention(isa, &q, &memories, heads).unwrap();
+                let got = cpu::attention(isa, &q, &memories, heads, None).unwrap();
                 prop_assert_eq!(got.dims(), want.dims());
                 for (got, want) in flat(&got).iter().zip(flat(&want)) {
                     // Scores go up to some 40 here, of which 1e-6 is lost in both.
@@ -271,6 +313,29 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn tokens_do_not_attend_to_later_ones() {
+        for count in [1, 7, 77, 600] {
+            let [q, k, v] = [(); 3].map(|()| tokens(2, count, 24));
+            let got = causal_attention(&q, &k, &v, 3).unwrap();
+            for last in [0, count / 2, count - 1] {
+                let query = q.narrow(1, last, 1).unwrap();
+                let memory = Memory {
+                    k: k.narrow(1, 0, last + 1).unwrap(),
+                    v: v.narrow(1, 0, last + 1).unwrap(),
+                };
+                let want = plain(&query, &[memory], 3, None).unwrap();
+                let got = got.narrow(1, last, 1).unwrap();
+                for (got, want) in flat(&got).iter().zip(flat(&want)) {
+                    assert!((got - want).abs() < 2e-4, "{count} {last}: {got} {want}");
+                }
+            }
+        }
+        let (q, k) = (tokens(1, 3, 8), tokens(1, 5, 8));
+        assert!(causal_attention(&q, &k, &k, 2).is_err());
+        assert!(causal_attention(&q, &q, &q, 2).is_ok());
     }
 
     #[test]
@@ -287,7 +352,7 @@ mod tests {
             memory(-1e3, 2.0, 700),
         ];
         for isa in Isa::available() {
-            let got = cpu::attention(isa, &q, &memories, 1).unwrap();
+            let got = cpu::attention(isa, &q, &memories, 1, None).unwrap();
             for got in flat(&got) {
                 assert!((got - 7.0).abs() < 1e-5, "{isa}: {got}");
             }

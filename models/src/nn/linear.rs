@@ -57,9 +57,27 @@ impl Linear {
         outputs: usize,
         weights: &Weights,
     ) -> Result<Self> {
+        let map = Self::of_patches_without_bias(colours, patch, outputs, weights)?;
+        Ok(Self {
+            bias: Some(weights.get([outputs], "bias")?),
+            ..map
+        })
+    }
+
+    /// As [`Self::of_patches`]; there is no bias.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::new`].
+    pub fn of_patches_without_bias(
+        colours: usize,
+        patch: usize,
+        outputs: usize,
+        weights: &Weights,
+    ) -> Result<Self> {
         Ok(Self {
             weight: weights.get([outputs, colours, patch, patch], "weight")?,
-            bias: Some(weights.get([outputs], "bias")?),
+            bias: None,
             inputs: colours * patch * patch,
             outputs,
         })

@@ -1,9 +1,9 @@
 //! Layers that networks are built of.
 //!
 //! A network calls these, and candle itself only to move numbers about (reshape, narrow, add,
-//! concatenate). What costs time is behind this module: [`Linear`], [`LayerNorm`], [`attention()`],
-//! [`window_attention()`], [`Rotation::apply`], [`Conv2d`], [`exchange()`], [`Upscaling`]. On CPUs these run
-//! on the kernels in [`cpu`], for f32; elsewhere, and as the oracle of tests, on candle's operations.
+//! concatenate). What costs time is behind this module: [`Linear`], [`GatedLinear`], [`LayerNorm`],
+//! [`GroupNorm`], [`attention()`], [`window_attention()`], [`Rotation::apply`], [`Conv2d`], [`exchange()`],
+//! [`Upscaling`]. On CPUs these run on the kernels in [`cpu`], for f32; elsewhere, and as the oracle of tests, on candle's operations.
 //!
 //! Tokens are `(batch, tokens, channels)`; heads share the channels, head after head, so that
 //! nothing is transposed. Images are `(batch, height, width, channels)`.
@@ -15,6 +15,8 @@ mod by_head;
 mod conv;
 pub mod cpu;
 mod exchange;
+mod gated_linear;
+mod group_norm;
 mod grouped;
 mod layer_norm;
 mod linear;
@@ -27,12 +29,14 @@ mod upscaling;
 mod window_attention;
 
 pub use activation::Activation;
-pub use attention::{CrossAttention, Memory, SelfAttention, attention};
+pub use attention::{CrossAttention, Memory, SelfAttention, attention, causal_attention};
 pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
 pub use conv::{
     BatchNorm2d, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,
 };
 pub use exchange::{Told, exchange};
+pub use gated_linear::GatedLinear;
+pub use group_norm::GroupNorm;
 pub use grouped::GroupedLinear;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;

@@ -11,7 +11,9 @@ use std::sync::{Arc, OnceLock};
 
 use candle_core::{Device, Error, Result, Tensor, bail};
 
-use super::cpu::conv::{Convolution, Epilogue, Filter, Images, Part, Pixels, Stage, in_turn};
+use super::cpu::conv::{
+    Convolution, Epilogue, Filter, Images, Part, Pixels, Stage, Steps, in_turn,
+};
 use super::cpu::{HostTensor, Isa};
 use super::{Activation, upsample_nearest};
 use crate::Weights;
@@ -35,8 +37,9 @@ pub enum Precision {
 }
 
 /// A 2D convolution with an odd square kernel and `kernel / 2` zeros around the image. With stride
-/// `s`, `height` becomes `height / s`, rounded up, and `width` likewise; without, sizes stay. Images are
-/// (batch, height, width, channels): channels last.
+/// `s`, `height` becomes `height / s`, rounded up, and `width` likewise; without, sizes stay
+/// ([`Self::with_padding_after`] is an exception). Images are (batch, height, width, channels): channels
+/// last.
 ///
 /// On a CPU, weights are laid out for the kernel that suits them when [`Self::forward`] is first
 /// called, and shared by clones. Beside the weights as they were read, that takes as much memory as
@@ -46,7 +49,7 @@ pub enum Precision {
 pub struct Conv2d {
     /// The weight is (outputs, inputs, kernel, kernel).
     parameters: Parameters,
-    stride: usize,
+    steps: Steps,
     precision: Precision,
     prepared: Arc<OnceLock<std::result::Result<Prepared, String>>>,
 }
@@ -61,7 +64,7 @@ impl std::fmt::Debug for Conv2d {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Conv2d")
             .field("parameters", &self.parameters)
-            .field("stride", &self.stride)
+            .field("steps", &self.steps)
             .field("precision", &self.precision)
             .finish_non_exhaustive()
     }
@@ -108,7 +111,7 @@ impl Conv2d {
         let shape = [outputs, inputs, kernel, kernel];
         Ok(Self {
             parameters: Parameters::new(&shape, bias, weights)?,
-            stride: 1,
+            steps: Steps::around(kernel, 1),
             precision: Precision::default(),
             prepared: Arc::default(),
         })
@@ -123,7 +126,25 @@ impl Conv2d {
     pub fn with_stride(self, stride: usize) -> Self {
         assert!(stride > 0, "a convolution goes on by a pixel at least");
         Self {
-            stride,
+            steps: Steps {
+                stride,
+                ..self.steps
+            },
+            prepared: Arc::default(),
+            ..self
+        }
+    }
+
+    /// The same convolution with zeros below and to the right of the image only: windows begin at its
+    /// first pixel. With kernel 3 and stride 2, `height` becomes `height / 2`, rounded down, and `width`
+    /// likewise.
+    #[must_use]
+    pub fn with_padding_after(self) -> Self {
+        Self {
+            steps: Steps {
+                before: 0,
+                ..self.steps
+            },
             prepared: Arc::default(),
             ..self
         }
@@ -202,6 +223,16 @@ impl Conv2d {
         self.run(parts, activation, None)
     }
 
+    /// `activation(conv(y))`, where `y` is `x` with each pixel repeated to a square of 2 x 2; the result is
+    /// (batch, 2 height, 2 width, outputs).
+    ///
+    /// # Errors
+    ///
+    /// If `x` has another shape.
+    pub fn forward_upsampled(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+        self.forward(&upsample_nearest(x, 2)?, activation)
+    }
+
     fn run(
         &self,
         parts: &[&Tensor],
@@ -209,7 +240,7 @@ impl Conv2d {
         residual: Option<&Tensor>,
     ) -> Result<Tensor> {
         let images = self.images(parts)?;
-        let strided = images.strided(self.stride);
+        let strided = self.steps.over(images);
         let shape = strided.shape(self.outputs());
         if let Some(residual) = residual
             && residual.dims4()? != shape
@@ -255,10 +286,6 @@ impl Conv2d {
         self.parameters.outputs()
     }
 
-    fn kernel(&self) -> usize {
-        self.parameters.shape()[2]
-    }
-
     /// The sizes of images that consist of `parts`, whose channels must be the inputs.
     fn images(&self, parts: &[&Tensor]) -> Result<Images> {
         let mut images: Option<Images> = None;
@@ -297,8 +324,7 @@ impl Conv2d {
                 values: &folded.weight,
                 outputs: self.outputs(),
                 inputs: self.inputs(),
-                kernel: self.kernel(),
-                stride: self.stride,
+                steps: self.steps,
             };
             let fast = self.precision == Precision::Fast;
             Ok(Prepared {
@@ -320,7 +346,7 @@ impl Conv2d {
         Stage {
             convolution: &prepared.convolution,
             inputs: self.inputs(),
-            stride: self.stride,
+            steps: self.steps,
             epilogue: Epilogue {
                 bias: &prepared.bias,
                 activation,
@@ -332,9 +358,16 @@ impl Conv2d {
     /// The convolution by candle's own operations.
     fn plain(&self, x: &Tensor) -> Result<Tensor> {
         let (weight, bias) = self.parameters.tensors()?;
+        let Steps {
+            kernel,
+            stride,
+            before,
+        } = self.steps;
         x.permute((0, 3, 1, 2))?
+            .pad_with_zeros(2, before, kernel / 2)?
+            .pad_with_zeros(3, before, kernel / 2)?
             .contiguous()?
-            .conv2d(&weight, self.kernel() / 2, self.stride, 1, 1)?
+            .conv2d(&weight, 0, stride, 1, 1)?
             .permute((0, 2, 3, 1))?
             .broadcast_add(&bias)?
             .contiguous()
@@ -371,7 +404,7 @@ pub fn convolve_in_turn(layers: &[(Conv2d, Activation)], x: &Tensor) -> Result<T
     let stages = (layers.iter())
         .map(|(conv, activation)| Ok(conv.stage(conv.prepared()?, *activation, None)))
         .collect::<Result<Vec<_>>>()?;
-    let strided = (layers.iter()).fold(images, |images, (conv, _)| images.strided(conv.stride));
+    let strided = (layers.iter()).fold(images, |images, (conv, _)| conv.steps.over(images));
     let out = with_values(x, |x| in_turn(&stages, images, x))?;
     Tensor::from_vec(out, strided.shape(last.outputs()), &Device::Cpu)
 }

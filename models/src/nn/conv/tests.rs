@@ -71,6 +71,44 @@ fn strides_without_bias_like_candle() {
 }
 
 #[test]
+fn zeros_after_the_image_only() {
+    for (inputs, outputs, height, width) in [(3, 40, 8, 6), (40, 33, 9, 6), (34, 3, 5, 7)] {
+        let x = image((2, height, width, inputs));
+        let conv = conv(inputs, outputs, 3).with_stride(2).with_padding_after();
+        let got = conv.forward(&x, Activation::Identity).unwrap();
+        assert_eq!(got.dims(), [2, height / 2, width / 2, outputs]);
+        assert!(error(&got, &conv.plain(&x).unwrap()) < 3e-6, "{conv:?}");
+    }
+    // Ones, of which a window at the border has fewer: 9 weights of 1, then 6 or 4.
+    let weights = Weights::from_fn(|_, s| vec![1.0; s.iter().product()], &Device::Cpu);
+    let conv = Conv2d::without_bias(1, 1, 3, &weights).unwrap();
+    let x = Tensor::ones((1, 4, 4, 1), candle_core::DType::F32, &Device::Cpu).unwrap();
+    let got = (conv.with_stride(2).with_padding_after()).forward(&x, Activation::Identity);
+    let got = got.unwrap().flatten_all().unwrap().to_vec1::<f32>();
+    assert_eq!(got.unwrap(), [9.0, 6.0, 6.0, 4.0]);
+}
+
+#[test]
+fn upsampled_is_after_upsampling() {
+    for (inputs, outputs, kernel) in [(40, 33, 3), (4, 40, 3), (40, 3, 3), (36, 33, 5)] {
+        let x = image((2, 5, 4, inputs));
+        let enlarged = upsample_nearest(&x, 2).unwrap();
+        for precision in [Precision::Exact, Precision::Fast] {
+            let conv = conv(inputs, outputs, kernel).with_precision(precision);
+            let got = conv.forward_upsampled(&x, Activation::Silu).unwrap();
+            let want = Activation::Silu.apply(&conv.plain(&enlarged).unwrap());
+            let tolerance = if precision == Precision::Fast {
+                1e-4
+            } else {
+                3e-6
+            };
+            let error = error(&got, &want.unwrap());
+            assert!(error < tolerance, "{conv:?}: {error}");
+        }
+    }
+}
+
+#[test]
 fn images_are_read_where_they_lie() {
     // Gathered by rows and by pixels, shifted, Winograd's.
     for (inputs, outputs, kernel) in [(4, 5, 3), (30, 5, 1), (40, 3, 3), (40, 33, 3)] {

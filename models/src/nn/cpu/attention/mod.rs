@@ -39,9 +39,11 @@ impl<'a> Tokens<'a> {
         let (&[items, tokens, width], &[by_item, by_token, _]) = (dims, strides) else {
             bail!("(batch, tokens, channels) is wanted, got {dims:?}");
         };
-        if (items, width) != (batch, channels) {
+        if items != batch && items != 1 || width != channels {
             bail!("tokens {dims:?} do not fit a batch of {batch} with {channels} channels");
         }
+        // One for all.
+        let by_item = if items == 1 { 0 } else { by_item };
         let data = tensor.data()?;
         let end = match items * tokens {
             0 => 0,
@@ -79,7 +81,8 @@ fn block_size(queries: usize, tasks: usize) -> usize {
     queries.div_ceil(blocks).clamp(QUERIES[1], QUERIES[0])
 }
 
-/// `softmax(q k^T / sqrt(head_dim)) v` for each head; see [`crate::nn::attention()`].
+/// `softmax(q k^T / sqrt(head_dim) + mask) v` for each head; see [`crate::nn::attention()`]. The mask is
+/// (queries, keys); every query has a key that it leaves.
 ///
 /// # Errors
 ///
@@ -89,6 +92,7 @@ pub(in crate::nn) fn attention(
     q: &Tensor,
     memories: &[Memory],
     heads: usize,
+    mask: Option<&[f32]>,
 ) -> Result<Tensor> {
     let (batch, queries, channels) = q.dims3()?;
     if heads == 0 || channels == 0 || !channels.is_multiple_of(heads) {
@@ -119,6 +123,9 @@ pub(in crate::nn) fn attention(
     if keys == 0 {
         bail!("there is nothing to attend to");
     }
+    if mask.is_some_and(|mask| mask.len() != queries * keys) {
+        bail!("a mask for other scores than {queries} x {keys}");
+    }
     let size = block_size(queries, batch * heads);
     let blocks = queries.div_ceil(size);
     // SAFETY: tasks write the channels of their head for all their queries; no two have the same.
@@ -142,7 +149,12 @@ pub(in crate::nn) fn attention(
                             .map(|(k, v, token)| [k, v].map(|x| x.pointer(item, token, head * dim)))
                             .collect(),
                         dim,
-                        bias: Bias::None,
+                        bias: match mask {
+                            None => Bias::None,
+                            Some(mask) => Bias::Table(
+                                (mask[first * keys..].chunks_exact(keys).take(count)).collect(),
+                            ),
+                        },
                         out: (0..count).map(|i| out.add(at + i * channels)).collect(),
                     });
                 });

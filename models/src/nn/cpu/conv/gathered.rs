@@ -6,7 +6,7 @@
 use candle_core::Result;
 use rayon::prelude::*;
 
-use super::{Epilogue, Filter, Images, Part};
+use super::{Epilogue, Filter, Images, Part, Steps};
 use crate::nn::cpu::gemm::{Factor, Matrix, PackedFactor, Pieces, Scattered, Table};
 use crate::nn::cpu::isa::Isa;
 use crate::nn::cpu::scratch::Scratch;
@@ -27,8 +27,7 @@ pub(in crate::nn) struct Gathered {
     isa: Isa,
     inputs: usize,
     outputs: usize,
-    kernel: usize,
-    stride: usize,
+    steps: Steps,
     /// (kernel * kernel * inputs, outputs), in this order.
     filter: PackedFactor,
 }
@@ -38,11 +37,10 @@ impl Gathered {
         let Filter {
             outputs,
             inputs,
-            kernel,
-            stride,
+            steps,
             ..
         } = filter;
-        let depth = kernel * kernel * inputs;
+        let depth = steps.kernel * steps.kernel * inputs;
         let mut rows = vec![0.0; outputs * depth];
         for (output, row) in rows.chunks_exact_mut(depth.max(1)).enumerate() {
             for input in 0..inputs {
@@ -56,8 +54,7 @@ impl Gathered {
             isa,
             inputs,
             outputs,
-            kernel,
-            stride,
+            steps,
             filter: PackedFactor::pack_for(isa, rows),
         })
     }
@@ -75,7 +72,7 @@ impl Gathered {
         out: *mut f32,
     ) -> Result<()> {
         let windows = Windows::new(self, images, parts);
-        let (all, outputs) = (images.strided(self.stride).pixels(), self.outputs);
+        let (all, outputs) = (self.steps.over(images).pixels(), self.outputs);
         let panels = outputs.div_ceil(self.isa.tile().1);
         let wanted = match rayon::current_num_threads() {
             1 => 1,
@@ -135,7 +132,7 @@ struct Windows<'a> {
 
 impl<'a> Windows<'a> {
     fn new(layer: &'a Gathered, images: Images, parts: &'a [Part<'a>]) -> Self {
-        let kernel = layer.kernel;
+        let kernel = layer.steps.kernel;
         let rows = match parts {
             [Part { pixels, times: 1 }] => {
                 kernel > 1 && pixels.stride() == pixels.channels() && layer.inputs < CHANNELS
@@ -164,13 +161,14 @@ impl<'a> Windows<'a> {
     fn table(&self, first: usize, count: usize) -> (Table, Option<Scratch>) {
         let Images { height, width, .. } = self.images;
         let Gathered {
-            isa,
-            inputs,
+            isa, inputs, steps, ..
+        } = *self.layer;
+        let Steps {
             kernel,
             stride,
-            ..
-        } = *self.layer;
-        let strided = self.images.strided(stride);
+            before,
+        } = steps;
+        let strided = steps.over(self.images);
         let mut table = Table::new(isa, self.pieces.count(), count, self.zeros.as_ptr());
         let row_size = kernel * inputs;
         let mut edges = (self.rows).then(|| Scratch::take(count * kernel * row_size));
@@ -179,16 +177,16 @@ impl<'a> Windows<'a> {
             let pixel = first + row;
             let (y, x) = (pixel / strided.width, pixel % strided.width);
             let (image, y) = (y / strided.height, y % strided.height);
-            // Rows and columns of the image, more by half a kernel.
+            // Rows and columns of the image, more by the zeros before.
             let (top, left) = (y * stride, x * stride);
-            let inside = |at: usize, size: usize| at >= kernel / 2 && at < size + kernel / 2;
+            let inside = |at: usize, size: usize| at >= before && at < size + before;
             for i in (0..kernel).filter(|i| inside(top + i, height)) {
-                let line = image * height + top + i - kernel / 2;
+                let line = image * height + top + i - before;
                 match &mut edges {
                     Some(edges) => {
                         let pixels = self.parts[0].pixels;
-                        let whole = left >= kernel / 2 && left + kernel / 2 < width;
-                        let pixel = |j: usize| pixels.pixel(line * width + left + j - kernel / 2);
+                        let whole = left >= before && left + kernel <= width + before;
+                        let pixel = |j: usize| pixels.pixel(line * width + left + j - before);
                         if whole {
                             table.set(row, i, pixel(0).as_ptr());
                             continue;
@@ -205,7 +203,7 @@ impl<'a> Windows<'a> {
                     }
                     None => {
                         for j in (0..kernel).filter(|j| inside(left + j, width)) {
-                            let column = left + j - kernel / 2;
+                            let column = left + j - before;
                             for (p, part) in self.parts.iter().enumerate() {
                                 let at =
                                     line / part.times * (width / part.times) + column / part.times;

@@ -36,17 +36,50 @@ pub(in crate::nn) struct Filter<'a> {
     pub(in crate::nn) values: &'a [f32],
     pub(in crate::nn) outputs: usize,
     pub(in crate::nn) inputs: usize,
-    /// Odd.
-    pub(in crate::nn) kernel: usize,
-    /// Pixels from one window to the next.
-    pub(in crate::nn) stride: usize,
+    pub(in crate::nn) steps: Steps,
 }
 
 impl Filter<'_> {
     /// The weights of one output and one input, row-major.
     fn window(&self, output: usize, input: usize) -> &[f32] {
-        let size = self.kernel * self.kernel;
+        let size = self.steps.kernel * self.steps.kernel;
         &self.values[(output * self.inputs + input) * size..][..size]
+    }
+}
+
+/// How windows go over an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::nn) struct Steps {
+    /// Rows and columns of a window; odd.
+    pub(in crate::nn) kernel: usize,
+    /// Pixels from one window to the next.
+    pub(in crate::nn) stride: usize,
+    /// Zeros above and to the left of the image. Below and to the right they are `kernel / 2`.
+    pub(in crate::nn) before: usize,
+}
+
+impl Steps {
+    /// Half a kernel of zeros on all sides.
+    pub(in crate::nn) fn around(kernel: usize, stride: usize) -> Self {
+        Self {
+            kernel,
+            stride,
+            before: kernel / 2,
+        }
+    }
+
+    /// The sizes of what a convolution makes of `images`: a pixel for each window.
+    pub(in crate::nn) fn over(self, images: Images) -> Images {
+        let along = |size: usize| {
+            let padded = size + self.before + self.kernel / 2;
+            let last = padded.checked_sub(self.kernel);
+            last.map_or(0, |last| last / self.stride + 1)
+        };
+        Images {
+            height: along(images.height),
+            width: along(images.width),
+            ..images
+        }
     }
 }
 
@@ -63,7 +96,7 @@ impl Images {
         self.batch * self.height * self.width
     }
 
-    /// Of what a convolution of this stride makes of these images.
+    /// Of what a convolution of this stride, padded on all sides, makes of these images.
     pub(in crate::nn) fn strided(self, stride: usize) -> Self {
         Self {
             height: self.height.div_ceil(stride),
@@ -94,11 +127,14 @@ impl Convolution {
         // occur, on small images: reading four times the weights takes longer than multiplying.
         const WEIGHTS_FOR_LARGE_TILES: usize = 1 << 20;
         let large = fast && filter.inputs * filter.outputs <= WEIGHTS_FOR_LARGE_TILES;
-        let scheme = match (filter.kernel, filter.stride, large) {
-            (3, 1, false) => Some(Scheme::F23),
-            (3, 1, true) => Some(Scheme::F43),
-            (5, 1, false) => Some(Scheme::F25),
-            (5, 1, true) => Some(Scheme::F65),
+        let kernel = filter.steps.kernel;
+        let around = filter.steps == Steps::around(kernel, 1);
+        let scheme = match (kernel, large) {
+            _ if !around => None,
+            (3, false) => Some(Scheme::F23),
+            (3, true) => Some(Scheme::F43),
+            (5, false) => Some(Scheme::F25),
+            (5, true) => Some(Scheme::F65),
             _ => None,
         };
         let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;

@@ -5,7 +5,7 @@
 use candle_core::Result;
 use rayon::prelude::*;
 
-use super::{Epilogue, Filter, Images, Pixels};
+use super::{Epilogue, Filter, Images, Pixels, Steps};
 use crate::nn::cpu::gemm::{self, Factor, Matrix, MatrixMut, PackedFactor, gemm_serial};
 use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::scratch::Scratch;
@@ -27,12 +27,13 @@ impl Shifted {
     /// Whether this takes less time than gathering windows.
     pub(super) fn pays(isa: Isa, filter: Filter<'_>) -> bool {
         let (_, columns) = isa.tile();
-        let window = filter.kernel * filter.kernel;
+        let kernel = filter.steps.kernel;
+        let window = kernel * kernel;
         let products = (window * filter.outputs).next_multiple_of(columns);
         let gathered = window * filter.outputs.next_multiple_of(columns);
         // Sums cost about as much as 16 inputs' products.
-        filter.kernel > 1
-            && filter.stride == 1
+        kernel > 1
+            && filter.steps == Steps::around(kernel, 1)
             && products * (filter.inputs + 16) < gathered * filter.inputs
     }
 
@@ -40,7 +41,7 @@ impl Shifted {
         let Filter {
             outputs,
             inputs,
-            kernel,
+            steps: Steps { kernel, .. },
             ..
         } = filter;
         let columns = kernel * kernel * outputs;

@@ -2,7 +2,7 @@
 
 use candle_core::{Result, bail};
 
-use super::{Convolution, Epilogue, Images, Part, Pixels};
+use super::{Convolution, Epilogue, Images, Part, Pixels, Steps};
 use crate::nn::cpu::scratch::Scratch;
 use crate::nn::cpu::shared::filled;
 
@@ -10,14 +10,14 @@ use crate::nn::cpu::shared::filled;
 pub(in crate::nn) struct Stage<'a> {
     pub(in crate::nn) convolution: &'a Convolution,
     pub(in crate::nn) inputs: usize,
-    pub(in crate::nn) stride: usize,
+    pub(in crate::nn) steps: Steps,
     pub(in crate::nn) epilogue: Epilogue<'a>,
 }
 
 impl Stage<'_> {
     /// Numbers that come out of `images`.
     fn size(&self, images: Images) -> usize {
-        images.strided(self.stride).pixels() * self.epilogue.bias.len()
+        self.steps.over(images).pixels() * self.epilogue.bias.len()
     }
 
     /// Of images, whose channels are those of `parts` one after the other: the outputs of each pixel of
@@ -43,7 +43,7 @@ impl Stage<'_> {
             bail!("{} channels are wanted, got {inputs}", self.inputs);
         }
         parts.iter().try_for_each(|part| part.check(images))?;
-        let strided = images.strided(self.stride);
+        let strided = self.steps.over(images);
         if let Some(residual) = self.epilogue.residual {
             residual.check(strided.pixels(), self.epilogue.bias.len())?;
         }
@@ -71,7 +71,7 @@ pub(in crate::nn) fn in_turn(stages: &[Stage<'_>], images: Images, x: &[f32]) ->
     // Each stage's images, and those that come out at the end.
     let mut sizes = vec![one];
     for stage in stages {
-        sizes.push(sizes[sizes.len() - 1].strided(stage.stride));
+        sizes.push(stage.steps.over(sizes[sizes.len() - 1]));
     }
     let size = |i: usize| stages[i].size(sizes[i]);
     let largest = (0..between.len()).map(size).max().unwrap_or(0);

@@ -52,8 +52,7 @@ struct Layer {
     images: Images,
     inputs: usize,
     outputs: usize,
-    kernel: usize,
-    stride: usize,
+    steps: Steps,
     x: Vec<f32>,
     weight: Vec<f32>,
     bias: Vec<f32>,
@@ -80,8 +79,7 @@ impl Layer {
             images,
             inputs,
             outputs,
-            kernel,
-            stride: 1,
+            steps: Steps::around(kernel, 1),
             x: numbers(seed, images.pixels() * inputs),
             weight: numbers(seed + 1, outputs * inputs * kernel * kernel),
             bias: numbers(seed + 2, outputs),
@@ -93,8 +91,7 @@ impl Layer {
             values: &self.weight,
             outputs: self.outputs,
             inputs: self.inputs,
-            kernel: self.kernel,
-            stride: self.stride,
+            steps: self.steps,
         }
     }
 
@@ -122,7 +119,7 @@ impl Layer {
         let stage = Stage {
             convolution,
             inputs: self.inputs,
-            stride: self.stride,
+            steps: self.steps,
             epilogue,
         };
         stage.run(self.images, parts).unwrap()
@@ -131,24 +128,29 @@ impl Layer {
     /// By the definition, in f64.
     fn want(&self) -> Vec<f64> {
         let Images { height, width, .. } = self.images;
-        let strided = self.images.strided(self.stride);
+        let Steps {
+            kernel,
+            stride,
+            before,
+        } = self.steps;
+        let strided = self.steps.over(self.images);
         let mut want = Vec::new();
         for pixel in 0..strided.pixels() {
             let (row, column) = (pixel / strided.width, pixel % strided.width);
             let (image, row) = (row / strided.height, row % strided.height);
-            let (row, column) = (row * self.stride, column * self.stride);
+            let (row, column) = (row * stride, column * stride);
             let mut sums: Vec<f64> = self.bias.iter().map(|&b| b.into()).collect();
-            for i in 0..self.kernel {
-                for j in 0..self.kernel {
-                    let y = (row + i).wrapping_sub(self.kernel / 2);
-                    let x = (column + j).wrapping_sub(self.kernel / 2);
+            for i in 0..kernel {
+                for j in 0..kernel {
+                    let y = (row + i).wrapping_sub(before);
+                    let x = (column + j).wrapping_sub(before);
                     if y >= height || x >= width {
                         continue;
                     }
                     let from = ((image * height + y) * width + x) * self.inputs;
                     for (o, sum) in sums.iter_mut().enumerate() {
                         for c in 0..self.inputs {
-                            let at = ((o * self.inputs + c) * self.kernel + i) * self.kernel + j;
+                            let at = ((o * self.inputs + c) * kernel + i) * kernel + j;
                             *sum += f64::from(self.x[from + c]) * f64::from(self.weight[at]);
                         }
                     }
@@ -160,9 +162,12 @@ impl Layer {
     }
 }
 
-/// The L2 norm of the difference over that of `want`.
+/// The L2 norm of the difference over that of `want`; 0 if there is nothing.
 fn error(got: &[f32], want: &[f64]) -> f64 {
     assert_eq!(got.len(), want.len());
+    if want.is_empty() {
+        return 0.0;
+    }
     let squares = got
         .iter()
         .zip(want)
@@ -212,9 +217,14 @@ proptest! {
         outputs in prop::sample::select(vec![1, 6, 17, 33]),
         kernel in prop::sample::select(vec![1, 3, 5]),
         stride in 2_usize..4,
+        padded: bool,
     ) {
+        let around = Steps::around(kernel, stride);
         let layer = Layer {
-            stride,
+            steps: Steps {
+                before: if padded { around.before } else { 0 },
+                ..around
+            },
             ..Layer::random(seed, images(size.0, size.1, size.2), inputs, outputs, kernel)
         };
         let want = layer.want();
@@ -231,7 +241,7 @@ fn depthwise_is_the_definition() {
     for (channels, kernel, stride) in [(3, 3, 1), (16, 3, 2), (17, 5, 1), (40, 5, 2), (70, 3, 1)] {
         for size in [(1, 1), (3, 2), (7, 10), (6, 13)] {
             let mut layer = Layer {
-                stride,
+                steps: Steps::around(kernel, stride),
                 ..Layer::random(23, images(2, size.0, size.1), channels, channels, kernel)
             };
             let weight = numbers(29, channels * kernel * kernel);
@@ -375,8 +385,7 @@ fn the_way_suits_the_layer() {
             values: &vec![0.0; inputs * outputs * kernel * kernel],
             outputs,
             inputs,
-            kernel,
-            stride,
+            steps: Steps::around(kernel, stride),
         };
         match Convolution::new(isa, filter, fast).unwrap() {
             Convolution::Winograd(_) => "winograd",

@@ -53,7 +53,7 @@ pub(in crate::nn) struct Winograd {
 impl Winograd {
     /// Transforms `filter`, whose kernel is that of `scheme`.
     pub(super) fn new(isa: Isa, filter: Filter<'_>, scheme: Scheme) -> Result<Self> {
-        let (n, k) = (scheme.products(), filter.kernel);
+        let (n, k) = (scheme.products(), filter.steps.kernel);
         let matrix = scheme.of_filter();
         let at = |point: usize| -> Result<PackedFactor> {
             let (down, right) = (&matrix[point / n], &matrix[point % n]);

@@ -1,0 +1,154 @@
+//! How much memory a call takes.
+
+use candle_core::Result;
+
+use super::plan::{Layer, Plan};
+use super::work::products;
+use super::{Config, FeedForward, SpatialTransformer, Unet, Work};
+use crate::nn::Precision;
+
+/// Estimated peak of memory, in bytes, without what the program itself needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Memory {
+    /// What stays from one call to the next: the weights, in f32 (mapped pages of the file, or a widened
+    /// copy), and those of convolutions once more, as they are laid out for the kernels.
+    pub weights: usize,
+    /// Everything else of a call: the maps that are alive at once where they take most.
+    pub working: usize,
+}
+
+impl Memory {
+    const FLOAT: usize = size_of::<f32>();
+    /// What kernels hold while they run.
+    const SCRATCH: usize = 32 << 20;
+
+    /// The memory of calls for `groups` of `frames` frames of `height` x `width` latents at once.
+    ///
+    /// # Errors
+    ///
+    /// If `config` cannot be.
+    pub fn new(
+        config: &Config,
+        precision: Precision,
+        groups: usize,
+        frames: usize,
+        (height, width): (usize, usize),
+    ) -> Result<Self> {
+        let (mut weights, mut kernels) = (0, 0);
+        for (name, shape) in Unet::tensors(config)? {
+            let count: usize = shape.iter().product();
+            weights += count;
+            kernels += match shape[..] {
+                // Layers that halve a map have no other kernels than those of the file.
+                [outputs, inputs, 3, 3] if !name.ends_with("op.weight") => {
+                    outputs * inputs * products(inputs, outputs, precision)
+                }
+                [_, _, _, _] => count,
+                _ => 0,
+            };
+        }
+        let batch = groups * frames;
+        let map =
+            |level: usize, channels: usize| batch * (height >> level) * (width >> level) * channels;
+        Ok(Self {
+            weights: (weights + kernels) * Self::FLOAT,
+            working: peak(config, batch, &map) * Self::FLOAT + Self::SCRATCH,
+        })
+    }
+
+    /// All of it.
+    pub fn total(&self) -> usize {
+        self.weights + self.working
+    }
+}
+
+/// Numbers alive at once where they are most; `map` gives those of a map at a level with so many channels.
+fn peak(config: &Config, batch: usize, map: &dyn Fn(usize, usize) -> usize) -> usize {
+    let plan = Plan::of(config);
+    let context: usize = plan.transformer_channels().sum();
+    let always = map(0, config.in_channels + config.out_channels)
+        + 2 * batch * Work::CONTEXT_TOKENS * context;
+    let (mut kept, mut stack, mut most) = (0, Vec::new(), 0);
+    for (i, block) in plan.blocks().enumerate() {
+        let mut result = 0;
+        if i > plan.input.len() {
+            // The block's input holds a copy.
+            kept -= stack.pop().unwrap_or(0);
+        }
+        for layer in &block.layers {
+            let (working, output) = of_layer(*layer, block.level, map);
+            most = most.max(kept + working);
+            result = output;
+        }
+        if i < plan.input.len() {
+            kept += result;
+            stack.push(result);
+        }
+    }
+    always + most
+}
+
+/// Numbers alive at once in a layer on a map that is halved `level` times, with its input; and those of its
+/// result.
+fn of_layer(layer: Layer, level: usize, map: &dyn Fn(usize, usize) -> usize) -> (usize, usize) {
+    match layer {
+        Layer::Convolution { inputs, outputs } => {
+            (map(level, inputs + outputs), map(level, outputs))
+        }
+        Layer::Residual { inputs, outputs } => {
+            let skip = if inputs == outputs { 0 } else { outputs };
+            // Input, normed, first convolution; or input, normed, skipped, result.
+            let halves = [2 * inputs + outputs, inputs + 2 * outputs + skip];
+            (map(level, halves[0].max(halves[1])), map(level, outputs))
+        }
+        Layer::Down { channels } => {
+            let result = map(level + 1, channels);
+            (map(level, channels) + result, result)
+        }
+        Layer::Up { channels } => {
+            let result = map(level - 1, channels);
+            // The input may be enlarged before it is convolved.
+            (map(level, channels) + 2 * result, result)
+        }
+        Layer::Transformer { channels } => {
+            let result = map(level, channels);
+            // Input, tokens, keys, values, result; and of a piece the hidden layer, and some more.
+            let piece = SpatialTransformer::ROWS * channels * (2 * FeedForward::WIDER + 4);
+            (5 * result + piece.min(12 * result), result)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn memory(groups: usize, frames: usize, side: usize) -> Memory {
+        Memory::new(
+            &Config::released(),
+            Precision::Exact,
+            groups,
+            frames,
+            (side, side),
+        )
+        .unwrap()
+    }
+
+    #[test]
+    fn the_released_network() {
+        // 865.9 million weights; of 3x3 kernels, 16 numbers for 9 once more.
+        let weights = memory(1, 5, 64).weights as f64 / 4e6;
+        assert!((1700.0..1900.0).contains(&weights), "{weights}");
+        // Less than the original's, whose hidden layer exists for all frames at once: 1.2 GiB.
+        let working = memory(2, 5, 64).working as f64 / f64::from(1 << 30);
+        assert!((0.4..1.2).contains(&working), "{working}");
+    }
+
+    #[test]
+    fn memory_grows_with_the_frames() {
+        let [one, two, four] =
+            [(1, 5), (2, 5), (2, 10)].map(|(groups, frames)| memory(groups, frames, 64).working);
+        assert!(one < two && two < four);
+        assert!(four < 4 * one);
+    }
+}
