@@ -122,7 +122,7 @@ impl Options {
                     Some(folder) => See3dWeights::find(&places.clone().with_models(folder), see3d)?,
                     None => See3dWeights::find(places, see3d)?,
                 };
-                Box::new(See3d::new(weights, see3d.clone()))
+                Box::new(See3d::new(weights, see3d))
             }
         })
     }

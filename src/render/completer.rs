@@ -46,6 +46,8 @@ pub struct Views<'a> {
     pub splats: &'a SplatParams,
     /// The photos, masked.
     pub references: &'a [Reference],
+    /// Their names.
+    pub photos: Vec<&'a str>,
     /// Each view's name and camera.
     pub cameras: &'a [(String, Camera)],
 }
@@ -97,14 +99,23 @@ pub struct Step {
     pub views: Vec<usize>,
     /// Whether this gives the views their pictures; else only what later steps need.
     pub finishes: bool,
-    /// What its results for later steps are called, if there are any.
-    pub keeps: Option<&'static str>,
+    /// What of the result later steps need.
+    pub keeps: Option<Keeps>,
     /// Earlier steps whose results it needs.
     pub after: Vec<usize>,
-    /// What sets it apart from another step for the same views.
+    /// What its result depends on besides what its views show.
     pub description: Value,
     /// How much there is to do, in units of progress.
     pub work: usize,
+}
+
+/// What later steps need of a step.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Keeps {
+    /// What it is called.
+    pub name: &'static str,
+    /// Of which views it is needed.
+    pub views: Vec<usize>,
 }
 
 /// The result of a step for one view.

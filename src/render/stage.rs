@@ -214,11 +214,7 @@ impl Rendering<'_> {
             recipes: &recipes,
             record: &mut record,
         };
-        let steps = completion.steps().iter().enumerate();
-        let pending: Vec<usize> = steps
-            .filter(|&(number, step)| target.force || !store.has(number, step))
-            .map(|(number, _)| number)
-            .collect();
+        let pending = store.pending(completion.steps(), target.force);
         if !pending.is_empty() {
             completion.prepare(&pending, progress)?;
             store.record.note_plan(&request, completion.plan())?;
@@ -249,6 +245,9 @@ impl Rendering<'_> {
             cloud: &scene.edited.cloud,
             splats: &self.splats,
             references,
+            photos: (scene.frames.iter())
+                .map(|frame| &*frame.photo.name)
+                .collect(),
             cameras,
         }
     }
@@ -359,8 +358,8 @@ impl Store for Memory {
                 self.views
                     .insert(number, (view, Story { completer, details }));
             }
-            if let (Some(name), Some(picture)) = (step.keeps, result.kept) {
-                self.kept.insert((number, name.to_string()), picture);
+            if let (Some(keeps), Some(picture)) = (&step.keeps, result.kept) {
+                self.kept.insert((number, keeps.name.to_string()), picture);
             }
         }
         Ok(())
@@ -381,14 +380,24 @@ impl Disk<'_> {
         &self.views.cameras[view].0
     }
 
-    /// Whether the results of a step are there.
-    fn has(&self, number: usize, step: &Step) -> bool {
-        let mut files = step.views.iter().flat_map(|&view| {
-            let finished = step.finishes.then(|| View::files(self.name(view)));
-            let kept = step.keeps.map(|kept| kept_file(self.name(view), kept));
-            finished.into_iter().flatten().chain(kept)
-        });
-        files.all(|file| self.record.holds(&file, &self.recipes[number]))
+    /// The steps that are still to be taken: those whose pictures are not there, and those whose results
+    /// such steps need and do not find. All of them, if `force`.
+    fn pending(&self, steps: &[Step], force: bool) -> Vec<usize> {
+        let mut pending: Vec<usize> = Vec::new();
+        for (number, step) in steps.iter().enumerate().rev() {
+            let is_needed = pending.iter().any(|&later| steps[later].after.contains(&number));
+            let lacks = |file: String| !self.record.holds(&file, &self.recipes[number]);
+            let mut pictures = step.views.iter().flat_map(|&view| View::files(self.name(view)));
+            let mut kept = step.keeps.iter().flat_map(|keeps| {
+                let views = keeps.views.iter();
+                views.map(|&view| kept_file(self.name(view), keeps.name))
+            });
+            if force || (step.finishes && pictures.any(lacks)) || (is_needed && kept.any(lacks)) {
+                pending.push(number);
+            }
+        }
+        pending.reverse();
+        pending
     }
 }
 
@@ -416,8 +425,8 @@ impl Store for Disk<'_> {
                 completer: self.completer.clone(),
                 details: result.details,
             };
-            if let (Some(kept), Some(picture)) = (step.keeps, result.kept) {
-                let file = kept_file(name, kept);
+            if let (Some(keeps), Some(picture)) = (&step.keeps, result.kept) {
+                let file = kept_file(name, keeps.name);
                 files::write_png(&self.folder.join(&file), &picture)?;
                 made.push((file, None));
             }

@@ -10,13 +10,15 @@ use std::f64::consts::TAU;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// Drawing the latents of a photo.
-    Reference,
+    Photo,
     /// Drawing the latents of a view.
     View,
-    /// Where a group begins.
+    /// Drawing the latents of one of the pictures that a group begins with.
+    Carried(usize),
+    /// Where the latents of a group begin.
     Start,
-    /// What the views of a group are mixed with, step after step.
-    Steps,
+    /// What the views of a group are mixed with in a step.
+    Step(usize),
 }
 
 /// A sequence of normally distributed numbers, drawn on the CPU by ChaCha8 and the transform of Box and
@@ -75,7 +77,7 @@ mod tests {
         for other in [
             values(2, "main", Purpose::Start, 0),
             values(1, "super-resolution", Purpose::Start, 0),
-            values(1, "main", Purpose::Steps, 0),
+            values(1, "main", Purpose::Step(0), 0),
             values(1, "main", Purpose::Start, 1),
         ] {
             let both = one.iter().zip(&other);
