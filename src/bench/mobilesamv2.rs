@@ -1,6 +1,6 @@
 //! The networks of MobileSAMv2.
 
-use super::{BenchParams, Load, Size, Source, Trial, failed};
+use super::{BenchParams, Load, Size, Source, Trial, failed, made_up};
 use crate::Result;
 use candle_core::{Device, Tensor};
 use std::rc::Rc;
@@ -12,7 +12,6 @@ use tid3r_models::{
         detector::{self, Detector},
     },
 };
-use tid3r_weights_convert::synth;
 
 /// The detector, on one picture.
 pub(super) fn detector(
@@ -105,9 +104,4 @@ fn spread(count: u32, (width, height): (f64, f64)) -> Result<Tensor> {
     Tensor::from_iter(corners, &Device::Cpu)
         .and_then(|corners| corners.reshape((count as usize, 4)))
         .map_err(failed)
-}
-
-/// Made-up numbers from -1 to 1.
-fn made_up(shape: &[usize]) -> Result<Tensor> {
-    Tensor::from_vec(synth::input("img", shape), shape, &Device::Cpu).map_err(failed)
 }

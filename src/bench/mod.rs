@@ -2,6 +2,7 @@
 
 mod mobilesamv2;
 mod mvdust3r;
+mod see3d;
 
 use crate::{
     Error, Result,
@@ -9,7 +10,7 @@ use crate::{
     machine::{forget_peak_memory, peak_memory},
     progress::Progress,
 };
-use candle_core::Device;
+use candle_core::{Device, Tensor};
 use clap::builder::PossibleValuesParser;
 use serde::Serialize;
 use std::{str::FromStr, time::Instant};
@@ -32,16 +33,18 @@ pub struct BenchParams {
     #[arg(long, value_name = "NAME",
           value_parser = PossibleValuesParser::new(Network::all().iter().map(|network| network.name)))]
     pub model: String,
-    /// Numbers of photos that MV-DUSt3R(+) sees at once, each measured by itself [default: 2,4,8]
+    /// Numbers of photos that MV-DUSt3R(+) sees at once [default: 2,4,8], or of frames that See3D's UNets
+    /// denoise together [default: 3], each measured by itself
     #[arg(long, value_name = "N,..", value_delimiter = ',',
-          value_parser = clap::value_parser!(u32).range(2..=200))]
+          value_parser = clap::value_parser!(u32).range(1..=200))]
     pub views: Vec<u32>,
     /// Numbers of boxes of which MobileSAMv2's decoder makes masks, each measured by itself [default: 100]
     #[arg(long, value_name = "N,..", value_delimiter = ',',
           value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub boxes: Vec<u32>,
-    /// Size of the pictures: of MV-DUSt3R(+) in steps of 16 [default: 224x224], of MobileSAMv2's detector of 32
-    /// [default: 1024x1024]
+    /// Size of the pictures, or one side of a square: of MV-DUSt3R(+) in steps of 16 [default: 224x224], of
+    /// MobileSAMv2's detector of 32 [default: 1024x1024], of See3D's UNets of 64, of its VAE of 8 [default:
+    /// 512x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<Size>,
     /// Type of the numbers that are computed with
@@ -108,7 +111,8 @@ impl FromStr for Size {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let sides = text.split_once(['x', 'X']).and_then(|(width, height)| {
+        let sides = (text.split_once(['x', 'X'])).unwrap_or((text, text));
+        let sides = Some(sides).and_then(|(width, height)| {
             let side = |text: &str| {
                 let side = text.trim().parse().ok();
                 side.filter(|side| (16..=4096).contains(side))
@@ -118,7 +122,7 @@ impl FromStr for Size {
         match sides {
             Some((width, height)) => Ok(Self { width, height }),
             None => Err(format!(
-                "'{text}' is no size such as 224x224, with sides from 16 to 4096"
+                "'{text}' is no size such as 320x224 or 224, with sides from 16 to 4096"
             )),
         }
     }
@@ -151,38 +155,46 @@ pub struct BenchRow {
 }
 
 /// What a network had to do in one run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Load {
-    /// Photos that it saw at once.
+    /// Which of the things that it can do.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part: Option<&'static str>,
+    /// Photos or frames that it saw at once.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub views: Option<u32>,
     /// Boxes of which it made masks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub boxes: Option<u32>,
+    /// Tokens of a text.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tokens: Option<u32>,
     /// Size of the pictures.
-    pub size: Size,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub size: Option<Size>,
 }
 
 impl Load {
     /// One picture.
     fn of_size(size: Size) -> Self {
         Self {
-            views: None,
-            boxes: None,
-            size,
+            size: Some(size),
+            ..Self::default()
         }
     }
 }
 
 impl std::fmt::Display for Load {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        if let Some(views) = self.views {
-            write!(f, "{views} views, ")?;
-        }
-        if let Some(boxes) = self.boxes {
-            write!(f, "{boxes} boxes, ")?;
-        }
-        write!(f, "{}", self.size)
+        let parts = [
+            self.part.map(str::to_string),
+            self.views.map(|views| format!("{views} views")),
+            self.boxes.map(|boxes| format!("{boxes} boxes")),
+            self.tokens.map(|tokens| format!("{tokens} tokens")),
+            self.size.map(|size| size.to_string()),
+        ];
+        let parts: Vec<_> = parts.into_iter().flatten().collect();
+        f.write_str(&parts.join(", "))
     }
 }
 
@@ -230,6 +242,10 @@ pub fn run(
             mobilesamv2::encoder(ImageEncoder::Vit(encoder), (work, work))?
         }
         Config::Decoder(config) => mobilesamv2::decoder(params, &config, &source)?,
+        Config::Unet(config) => see3d::unet(params, &config, &source)?,
+        Config::Vae(config) => see3d::vae(params, &config, &source)?,
+        Config::ImageEncoder(config) => see3d::image_encoder(&config, &source)?,
+        Config::TextEncoder(config) => see3d::text_encoder(&config, &source)?,
         _ => {
             return Err(Error::request(
                 format!("{} cannot be measured by itself", network.title),
@@ -304,6 +320,11 @@ impl<'a> Source<'a> {
     }
 }
 
+/// Made-up numbers from -1 to 1.
+fn made_up(shape: &[usize]) -> Result<Tensor> {
+    Tensor::from_vec(synth::input("img", shape), shape, &Device::Cpu).map_err(failed)
+}
+
 fn measure(
     trial: &Trial,
     network: &'static Network,
@@ -364,7 +385,9 @@ mod tests {
             height: 224,
         };
         assert_eq!("320x224".parse(), Ok(size));
-        for text in ["224", "0x16", "224x", "axb", "5000x16"] {
+        let square = "224".parse::<Size>();
+        assert_eq!(square, Ok(Size::square(224)));
+        for text in ["", "8", "0x16", "224x", "axb", "5000x16"] {
             assert!(text.parse::<Size>().is_err(), "{text}");
         }
         assert_eq!(size.in_steps_of(16).unwrap(), (320, 224));

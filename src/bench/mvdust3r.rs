@@ -1,11 +1,9 @@
 //! MV-DUSt3R and MV-DUSt3R+.
 
-use super::{BenchParams, Load, Size, Source, Trial, failed};
-use crate::Result;
-use candle_core::{Device, Tensor};
+use super::{BenchParams, Load, Size, Source, Trial, failed, made_up};
+use crate::{Error, Result};
 use std::rc::Rc;
 use tid3r_models::mvdust3r::{Config, MvDust3r, Options, Paths, Unobserved, Work};
-use tid3r_weights_convert::synth;
 
 /// A trial for each number of photos.
 pub(super) fn trials(
@@ -35,10 +33,15 @@ pub(super) fn trials(
         true => &VIEWS[..],
         false => &params.views,
     };
+    if views.contains(&1) {
+        return Err(Error::request(
+            "the network cannot see one photo alone",
+            "give numbers of views from 2 on",
+        ));
+    }
     let trial = |&views: &u32| {
         let shape = [views as usize, 1, 3, height, width];
-        let images = Tensor::from_vec(synth::input("img", &shape), &shape, &Device::Cpu);
-        let images = images.map_err(failed)?;
+        let images = made_up(&shape)?;
         let work = Work::new(
             &config,
             views as usize,

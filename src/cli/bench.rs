@@ -16,7 +16,8 @@ use tid3r_weights_convert::Found;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     tid3r bench --model mvdust3r\n  \
-    tid3r bench --model mvdust3r-plus --views 4,8 --threads 2 --json")]
+    tid3r bench --model mvdust3r-plus --views 4,8 --threads 2 --json\n  \
+    tid3r bench --model see3d-sparse --views 3 --size 256")]
 pub(super) struct Bench {
     #[command(flatten)]
     params: BenchParams,

@@ -5,6 +5,7 @@
     reason = "a test that cannot go on says where it stopped"
 )]
 
+mod bench;
 mod broken;
 mod damaged_scene;
 mod demo;

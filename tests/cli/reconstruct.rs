@@ -193,6 +193,6 @@ fn networks_are_measured() {
     assert!(message.contains("weights of MV-DUSt3R+"), "{message}");
     let message = place.fail("-q bench --model mvdust3r --weights mvd --size 100x100");
     assert!(message.contains("multiples of 16"), "{message}");
-    place.misuse("bench --model mvdust3r --size 100");
+    place.misuse("bench --model mvdust3r --size 100x");
     place.misuse("bench --model unknown");
 }

@@ -99,7 +99,9 @@ fn every_action_explains_itself() {
                 "f16",
                 "--force",
                 "--heads",
+                "--network",
                 ".pth",
+                "MVD_weights",
             ],
         ),
         ("verify", &["WEIGHTS", "SHA-256", "--json"]),
@@ -120,6 +122,8 @@ fn every_action_explains_itself() {
         "mobilesamv2-tiny-vit",
         "mobilesamv2-sam-vit-h",
         "mobilesamv2-decoder",
+        "see3d-super-resolution",
+        " see3d,",
     ] {
         assert!(help.contains(network), "{help}");
     }
@@ -131,6 +135,7 @@ fn every_action_explains_itself() {
         "weights convert x.pth --dtype f64 -o y",
         "weights convert x.pth --heads 2 -o y",
         "weights convert x.pth --heads 0,2 -o y",
+        "weights convert x.pth --network see3d -o y",
         "weights synthesize mvdust3r --seed -1 -o y",
         "weights synthesize tiny -o y",
     ] {
@@ -216,6 +221,179 @@ fn every_file_of_mobilesamv2_is_converted_and_checked() {
     good(&place, &format!("{convert} --force --heads 1,4"), &[]);
     let config = place.read_json("decoder/config.json");
     assert_eq!(config["mask_decoder"]["num_heads"], 4);
+}
+
+const SEE3D: [&str; 6] = [
+    "see3d-sparse",
+    "see3d-single",
+    "see3d-super-resolution",
+    "see3d-vae",
+    "see3d-image-encoder",
+    "see3d-text-encoder",
+];
+
+/// The folder in which See3D is published, in small.
+fn see3d() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/cases/see3d/tiny_repo")
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let to = to.join(entry.file_name());
+        match entry.file_type().unwrap().is_dir() {
+            true => copy(&entry.path(), &to),
+            false => fs::write(to, fs::read(entry.path()).unwrap()).unwrap(),
+        }
+    }
+}
+
+#[test]
+fn every_network_of_see3d_is_converted_at_once_and_checked() {
+    let place = Place::new();
+    let convert = format!("convert {} -o models", see3d().display());
+    let (code, out, err) = weights(&place, &convert, &[]);
+    assert_eq!((code, out.lines().count()), (0, 6), "{err}");
+    for (line, name) in out.lines().zip(SEE3D) {
+        let start = format!("models/{name}: {name}, ");
+        assert!(
+            line.starts_with(&start) && line.contains("licence"),
+            "{line}"
+        );
+    }
+    // What is in the files and of no use is said.
+    for part in [
+        "see3d-sparse",
+        "camera_embed",
+        "see3d-image-encoder",
+        "text_projection",
+    ] {
+        assert!(err.contains(part), "{err}");
+    }
+    let models = [("TID3R_MODELS", "models")];
+    let said = good(&place, "verify see3d", &models);
+    assert_eq!(said.matches("all as they must be").count(), 6, "{said}");
+    for name in SEE3D {
+        let folder = good(&place, &format!("path {name}"), &models);
+        assert_eq!(folder, format!("models/{name}\n"));
+    }
+    let before = place.files("models");
+    let again = good(&place, &convert, &[]);
+    assert_eq!(again.matches("there already").count(), 6, "{again}");
+    assert!(place.files("models") == before);
+    let message = bad(&place, &format!("{convert} --dtype f16"), &[]);
+    assert!(
+        message.contains("see3d-sparse") && message.contains("--force"),
+        "{message}"
+    );
+    let (code, out, _) = weights(
+        &place,
+        &format!("{convert} --dtype f16 --force --json"),
+        &[],
+    );
+    let report: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, report.as_array().unwrap().len()), (0, 6));
+    assert!(
+        report
+            .as_array()
+            .unwrap()
+            .iter()
+            .all(|r| r["dtype"] == "f16" && r["kept"] == false)
+    );
+
+    // A part of it, and a UNet that could be any of three.
+    let unet = place.path("unet");
+    copy(&see3d().join("unet/sparse/ema-checkpoint"), &unet);
+    let message = bad(&place, "convert unet -o out", &[]);
+    assert!(
+        message.contains("--network see3d-sparse or see3d-single"),
+        "{message}"
+    );
+    let (code, out, err) = weights(&place, "convert unet --network see3d-single -o out", &[]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.starts_with("out: see3d-single, "), "{out}");
+    assert!(err.contains("scheduler_config.json"), "{err}");
+    let message = bad(&place, &format!("{convert} --network see3d-vae"), &[]);
+    assert!(message.contains("several networks"), "{message}");
+}
+
+#[test]
+fn what_of_see3d_is_missing_or_not_converted_is_said() {
+    let place = Place::new();
+    copy(&see3d(), &place.path("MVD_weights"));
+    let unconverted = [("TID3R_MODELS", "MVD_weights")];
+    let message = bad(&place, "path see3d-vae", &unconverted);
+    assert!(
+        message.contains("`tid3r weights convert MVD_weights -o MVD_weights`"),
+        "{message}"
+    );
+    let message = bad(&place, "verify MVD_weights", &[]);
+    assert!(
+        message.contains("`tid3r weights convert MVD_weights -o MODELS`"),
+        "{message}"
+    );
+    let message = bad(&place, "path see3d-sparse", &[("TID3R_MODELS", "/models")]);
+    for part in [
+        "get checkpoint/MVD_weights from https://huggingface.co/bruiiii/See3D (",
+        "`tid3r weights convert MVD_weights -o /models`",
+    ] {
+        assert!(message.contains(part), "{message}");
+    }
+    fs::remove_dir_all(place.path("MVD_weights/unet/SR")).unwrap();
+    fs::remove_dir_all(place.path("MVD_weights/vae")).unwrap();
+    let (code, out, err) = weights(&place, "convert MVD_weights -o models", &[]);
+    assert_eq!((code, out.lines().count()), (0, 4), "{err}");
+    for part in [
+        "MVD_weights/unet/SR/ema-checkpoint",
+        "super-resolution",
+        "MVD_weights/vae",
+    ] {
+        assert!(err.contains(part), "{err}");
+    }
+
+    // In the cache of Hugging Face it is found.
+    let message = bad(&place, "convert see3d -o other", &[]);
+    assert!(
+        message.contains("checkpoint/MVD_weights is not in the local cache"),
+        "{message}"
+    );
+    let repository = place.path("hub/models--bruiiii--See3D");
+    let snapshot = repository.join("snapshots/0123abcd/checkpoint/MVD_weights");
+    copy(&see3d(), &snapshot);
+    fs::create_dir_all(repository.join("refs")).unwrap();
+    fs::write(repository.join("refs/main"), "0123abcd").unwrap();
+    let hub = place.path("hub");
+    let cache = [("HF_HUB_CACHE", hub.to_str().unwrap())];
+    let message = bad(&place, "path see3d-text-encoder", &cache);
+    let command = format!("`tid3r weights convert {} -o MODELS`", snapshot.display());
+    assert!(message.contains(&command), "{message}");
+    let (code, out, err) = weights(&place, "convert see3d -o other", &cache);
+    assert_eq!((code, out.lines().count()), (0, 6), "{err}");
+    let (code, out, err) = weights(&place, "convert see3d-single -o one", &cache);
+    assert_eq!((code, err), (0, String::new()));
+    assert!(out.starts_with("one: see3d-single, "), "{out}");
+}
+
+#[test]
+fn all_networks_of_a_method_are_made_at_once() {
+    let place = Place::new();
+    let out = good(&place, "synthesize see3d --tiny --dtype f16 -o models", &[]);
+    assert_eq!(out.lines().count(), 6, "{out}");
+    let report = json(&place, "verify see3d --json", &[("TID3R_MODELS", "models")]);
+    let names: Vec<_> = report
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|r| &r["network"])
+        .collect();
+    assert_eq!(names, SEE3D);
+    let models = [("TID3R_MODELS", "more")];
+    let report = json(&place, "synthesize mobilesamv2 --tiny --json", &models);
+    assert_eq!(report.as_array().unwrap().len(), 5);
+    assert_eq!(report[0]["folder"], "more/mobilesamv2-detector");
+    let message = bad(&place, "verify see3d", &models);
+    assert!(message.contains("no folder see3d-sparse"), "{message}");
 }
 
 #[test]
@@ -375,7 +553,7 @@ fn places_are_searched_in_their_order() {
         "https://huggingface.co/Zhenggang/MV-DUSt3R"
     );
     assert_eq!(list[1]["found"], false);
-    assert_eq!(list.as_array().unwrap().len(), 7);
+    assert_eq!(list.as_array().unwrap().len(), 13);
     let text = good(&place, "list", &[models]);
     for part in [
         "mvdust3r-plus",

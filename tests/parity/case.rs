@@ -9,8 +9,11 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
+use tempfile::TempDir;
 use tid3r_models::Weights;
-use tid3r_weights_convert::{Checkpoint, ConvertOptions, WEIGHTS_FILE, convert, synth};
+use tid3r_weights_convert::{
+    Checkpoint, Config, ConvertOptions, Found, Repository, WEIGHTS_FILE, convert, network_of, synth,
+};
 
 /// One recorded case.
 pub(crate) struct Case {
@@ -73,6 +76,27 @@ fn synthetic(config: &Value, seed: u64) -> Result<Weights> {
     Ok(Weights::from_fn(values, &Device::Cpu))
 }
 
+/// Converted networks, each in a folder of its name.
+pub(crate) struct Converted {
+    folder: TempDir,
+}
+
+impl Converted {
+    /// The folder of their folders.
+    pub(crate) fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// The configuration and the weights of the network called `name`.
+    pub(crate) fn network(&self, name: &str) -> Result<(Config, Weights)> {
+        let found = Found::at(&self.folder().join(name))?;
+        Ok((
+            found.file.config,
+            Weights::open(&found.weights, &Device::Cpu)?,
+        ))
+    }
+}
+
 #[derive(Deserialize)]
 struct Tolerance {
     max_relative_l2: f64,
@@ -132,9 +156,9 @@ impl Case {
     pub(crate) fn weights(&self) -> Result<Weights> {
         match &self.file.weights {
             &WeightsOf::SyntheticSeed(seed) => synthetic(&self.file.config, seed),
-            WeightsOf::File(name) => {
+            WeightsOf::File(_) => {
                 let folder = tempfile::tempdir()?;
-                let source = self.folder.join(name);
+                let source = self.source()?;
                 let options = ConvertOptions::default();
                 convert(&source, folder.path(), &options, &mut |_| ())?;
                 // The mapping outlives the file's name.
@@ -146,13 +170,36 @@ impl Case {
         }
     }
 
+    /// The networks in the checkpoint or in the folder that the case names, converted.
+    pub(crate) fn converted(&self) -> Result<Converted> {
+        let source = self.source()?;
+        let folder = tempfile::tempdir()?;
+        let options = ConvertOptions::default();
+        match Repository::at(&source) {
+            Some(repository) => {
+                repository.convert(folder.path(), &options, &mut |_| ())?;
+            }
+            None => {
+                let network = network_of(&source, &options)?;
+                let folder = folder.path().join(network.name);
+                convert(&source, &folder, &options, &mut |_| ())?;
+            }
+        }
+        Ok(Converted { folder })
+    }
+
+    /// The file or folder that the case has its weights from.
+    pub(crate) fn source(&self) -> Result<PathBuf> {
+        match &self.file.weights {
+            WeightsOf::File(name) => Ok(self.folder.join(name)),
+            WeightsOf::SyntheticSeed(_) => bail!("the weights are in no file"),
+        }
+    }
+
     /// The weights in the case's checkpoint under the names that they have there, with those that the
     /// network has no use for.
     pub(crate) fn unconverted_weights(&self) -> Result<Weights> {
-        let WeightsOf::File(name) = &self.file.weights else {
-            bail!("the weights are in no file");
-        };
-        let checkpoint = Checkpoint::open(&self.folder.join(name))?;
+        let checkpoint = Checkpoint::open(&self.source()?)?;
         let mut values: BTreeMap<String, Vec<f32>> = BTreeMap::new();
         for name in checkpoint.shapes().into_keys() {
             let tensor = values.entry(name.to_string()).or_default();

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use crate::folder::{ConfigFile, NewFolder, Provenance};
 use crate::networks::{Hints, Plan};
+use crate::repository::checkpoint_at;
 use crate::{
-    CONFIG_FILE, Checkpoint, Error, Network, Precision, Result, Step, Written, hash,
+    CONFIG_FILE, Checkpoint, Error, Found, Network, Precision, Result, Step, Written, hash,
     safetensors_file,
 };
 
@@ -18,20 +19,25 @@ pub struct ConvertOptions {
     pub replace: bool,
     /// Attention heads of encoder and decoder, for a checkpoint that does not say them.
     pub heads: Option<(usize, usize)>,
+    /// Which network it must be of: where several have the same tensors, it is.
+    pub network: Option<&'static Network>,
 }
 
 /// Converts the checkpoint at `source` to `model.safetensors` and `config.json` in `folder`.
 ///
 /// The source is a file of `torch.save`, with a state dict or with the network's objects, or a
-/// safetensors file, or the index of several; which network it is of is found out from its tensors. They
-/// must be exactly those of the network, except that
+/// safetensors file, or the index of several, or a folder with one of these under a name that Hugging
+/// Face's libraries give it; which network it is of is found out from its tensors. They must be exactly
+/// those of the network, except that
 ///
 /// - tensors without effect are left out, such as `num_batches_tracked`, and so is what else is in the
-///   file of a whole SAM of which the network is a part,
+///   file of a whole SAM or CLIP of which the network is a part,
 /// - in MV-DUSt3R, `dec_blocks2` is a copy of `dec_blocks` where there is none at all, and heads that
 ///   are absent as a whole are switched off in the configuration.
 ///
-/// Weights are written as they are read: memory use is a few megabytes whatever the size.
+/// Checkpoints of See3D need the `config.json` beside them, and take the pipeline's settings from the
+/// folders beside and above. Weights are written as they are read: memory use is a few megabytes whatever
+/// the size.
 ///
 /// # Errors
 ///
@@ -45,70 +51,7 @@ pub fn convert(
     progress: &mut dyn FnMut(Step),
 ) -> Result<Written> {
     NewFolder::check(folder, options.replace)?;
-    let (checkpoint, plan, ours) = plan(source, options)?;
-    let provenance = match ours {
-        Some(file) => Provenance {
-            converter: Provenance::CONVERTER.to_owned(),
-            ..file.provenance
-        },
-        None => {
-            let network = plan.config.network();
-            Provenance {
-                source: file_name(source),
-                source_sha256: Some(hash::of_files(checkpoint.files(), progress)?),
-                seed: None,
-                upstream: network.upstream.to_owned(),
-                licence: network.licence.to_owned(),
-                converter: Provenance::CONVERTER.to_owned(),
-            }
-        }
-    };
-    let new = NewFolder {
-        folder,
-        replace: options.replace,
-        config: plan.config,
-        precision: options.precision,
-        provenance,
-        notes: plan.notes,
-    };
-    let shapes = plan
-        .tensors
-        .iter()
-        .map(|(name, (shape, _))| (name.clone(), shape.clone()));
-    let written = new.write(shapes.collect(), |path, metadata, specs| {
-        progress(Step::Begin {
-            task: "convert, tensors",
-            total: specs.len(),
-        });
-        let mut bytes = Vec::new();
-        safetensors_file::write(path, metadata, specs, |out, name, spec| {
-            let (_, original) = &plan.tensors[name];
-            let mut done = 0;
-            checkpoint.read(original, |values| {
-                let values = &values[..values.len().min(spec.elements() - done)];
-                bytes.clear();
-                let encoded = options.precision.encode(values, &mut bytes);
-                encoded.map_err(|index| {
-                    let value = values[index];
-                    let at = done + index;
-                    Error::file(
-                        source,
-                        format!(
-                            "tensor `{original}`: element {at} is {value}, too large for {}",
-                            options.precision
-                        ),
-                        "convert to bf16 or f32",
-                    )
-                })?;
-                done += values.len();
-                out.write_all(&bytes).map_err(Error::io("write", path))
-            })?;
-            progress(Step::Advance(1));
-            Ok(())
-        })
-    })?;
-    progress(Step::End);
-    Ok(written)
+    Conversion::plan(source, options)?.write(folder, progress)
 }
 
 /// Which network the checkpoint at `source` is of: what [`convert()`] would make of it, without writing.
@@ -117,22 +60,177 @@ pub fn convert(
 ///
 /// As [`convert()`], but for those about values and about the folder.
 pub fn network_of(source: &Path, options: &ConvertOptions) -> Result<&'static Network> {
-    let (_, plan, _) = plan(source, options)?;
-    Ok(plan.config.network())
+    Ok(Conversion::plan(source, options)?.plan.config.network())
 }
 
-/// The checkpoint, what becomes of it, and what tid3r has noted about it if it wrote it.
-fn plan(source: &Path, options: &ConvertOptions) -> Result<(Checkpoint, Plan, Option<ConfigFile>)> {
-    let checkpoint = Checkpoint::open(source)?;
-    let ours = (checkpoint.metadata().contains_key("converter"))
-        .then(|| ConfigFile::read(&source.with_file_name(CONFIG_FILE)))
-        .transpose()?;
-    let hints = Hints {
-        heads: options.heads,
-        config: ours.as_ref().map(|file| &file.config),
-    };
-    let plan = Plan::of(&checkpoint, hints)?;
-    Ok((checkpoint, plan, ours))
+/// A conversion that has been found possible as far as names and shapes tell.
+pub(crate) struct Conversion {
+    checkpoint: Checkpoint,
+    plan: Plan,
+    /// What tid3r has noted about the checkpoint, if it wrote it.
+    ours: Option<ConfigFile>,
+    /// What the checkpoint is called.
+    source: String,
+    options: ConvertOptions,
+}
+
+impl Conversion {
+    pub(crate) fn plan(source: &Path, options: &ConvertOptions) -> Result<Self> {
+        let checkpoint = Checkpoint::open(&checkpoint_at(source)?)?;
+        let path = checkpoint.path();
+        let ours = (checkpoint.metadata().contains_key("converter"))
+            .then(|| ConfigFile::read(&path.with_file_name(CONFIG_FILE)))
+            .transpose()?;
+        let hints = Hints {
+            heads: options.heads,
+            config: ours.as_ref().map(|file| &file.config),
+            network: options.network,
+        };
+        let plan = Plan::of(&checkpoint, hints)?;
+        let network = plan.config.network();
+        if let Some(wanted) = options.network.filter(|wanted| *wanted != network) {
+            return Err(Error::file(
+                path,
+                format!("weights of {}, not of {}", network.title, wanted.title),
+                format!("give a checkpoint of {}", wanted.name),
+            ));
+        }
+        Ok(Self {
+            source: file_name(path),
+            checkpoint,
+            plan,
+            ours,
+            options: *options,
+        })
+    }
+
+    /// The same, with the checkpoint's path within what it was published in.
+    pub(crate) fn with_source(self, source: &Path) -> Self {
+        Self {
+            source: source.to_string_lossy().into_owned(),
+            ..self
+        }
+    }
+
+    /// What is in `folder` already, if it is what this conversion would make.
+    pub(crate) fn existing(
+        &self,
+        folder: &Path,
+        progress: &mut dyn FnMut(Step),
+    ) -> Result<Option<Written>> {
+        let Ok(found) = Found::at(folder) else {
+            return Ok(None);
+        };
+        let Ok(weights) = Checkpoint::open(&found.weights) else {
+            return Ok(None);
+        };
+        let dtype = self.options.precision.dtype();
+        let is_same = |(name, (shape, _)): (&String, &(Vec<usize>, String))| {
+            (weights.spec(name)).is_some_and(|spec| spec.shape() == shape && spec.dtype() == dtype)
+        };
+        let is_alike = found.file.config == self.plan.config
+            && weights.shapes().len() == self.plan.tensors.len()
+            && self.plan.tensors.iter().all(is_same);
+        if !is_alike
+            || found.file.provenance.source_sha256 != self.provenance(progress)?.source_sha256
+        {
+            return Ok(None);
+        }
+        Ok(Some(Written {
+            folder: found.folder,
+            network: found.network.name,
+            dtype: self.options.precision,
+            tensors: self.plan.tensors.len(),
+            numbers: self.numbers(),
+            bytes: weights.length(),
+            sha256: found.file.weights_sha256,
+            provenance: found.file.provenance,
+            kept: true,
+            notes: Vec::new(),
+        }))
+    }
+
+    fn numbers(&self) -> u64 {
+        let shapes = self.plan.tensors.values().map(|(shape, _)| shape);
+        shapes
+            .map(|shape| shape.iter().product::<usize>() as u64)
+            .sum()
+    }
+
+    /// Writes the folder.
+    pub(crate) fn write(self, folder: &Path, progress: &mut dyn FnMut(Step)) -> Result<Written> {
+        let ConvertOptions {
+            precision, replace, ..
+        } = self.options;
+        NewFolder::check(folder, replace)?;
+        let provenance = self.provenance(progress)?;
+        let Self {
+            checkpoint, plan, ..
+        } = self;
+        let new = NewFolder {
+            folder,
+            replace,
+            config: plan.config,
+            precision,
+            provenance,
+            notes: plan.notes,
+        };
+        let shapes = plan
+            .tensors
+            .iter()
+            .map(|(name, (shape, _))| (name.clone(), shape.clone()));
+        let written = new.write(shapes.collect(), |path, metadata, specs| {
+            progress(Step::Begin {
+                task: "convert, tensors",
+                total: specs.len(),
+            });
+            let mut bytes = Vec::new();
+            safetensors_file::write(path, metadata, specs, |out, name, spec| {
+                let (_, original) = &plan.tensors[name];
+                let mut done = 0;
+                checkpoint.read(original, |values| {
+                    let values = &values[..values.len().min(spec.elements() - done)];
+                    bytes.clear();
+                    let encoded = precision.encode(values, &mut bytes);
+                    encoded.map_err(|index| {
+                        let value = values[index];
+                        let at = done + index;
+                        Error::file(
+                            checkpoint.path(),
+                            format!(
+                                "tensor `{original}`: element {at} is {value}, too large for {precision}"
+                            ),
+                            "convert to bf16 or f32",
+                        )
+                    })?;
+                    done += values.len();
+                    out.write_all(&bytes).map_err(Error::io("write", path))
+                })?;
+                progress(Step::Advance(1));
+                Ok(())
+            })
+        })?;
+        progress(Step::End);
+        Ok(written)
+    }
+
+    fn provenance(&self, progress: &mut dyn FnMut(Step)) -> Result<Provenance> {
+        if let Some(file) = &self.ours {
+            return Ok(Provenance {
+                converter: Provenance::CONVERTER.to_owned(),
+                ..file.provenance.clone()
+            });
+        }
+        let network = self.plan.config.network();
+        Ok(Provenance {
+            source: self.source.clone(),
+            source_sha256: Some(hash::of_files(self.checkpoint.files(), progress)?),
+            seed: None,
+            upstream: network.upstream.to_owned(),
+            licence: network.licence.to_owned(),
+            converter: Provenance::CONVERTER.to_owned(),
+        })
+    }
 }
 
 fn file_name(path: &Path) -> String {

@@ -1,5 +1,6 @@
 //! The error type of this crate.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// What can go wrong with checkpoints.
@@ -55,6 +56,12 @@ pub(crate) fn excerpt(text: &str) -> String {
         shown.push_str("..");
     }
     shown
+}
+
+/// What a network's error says: its first line, without the backtrace that may follow.
+pub(crate) fn first_line(error: &impl fmt::Display) -> String {
+    let text = error.to_string();
+    text.lines().next().unwrap_or_default().to_owned()
 }
 
 impl Error {

@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 use hf_hub::{Cache, CacheRepo};
 use serde::Serialize;
 
-use crate::{CONFIG_FILE, ConfigFile, Error, Network, Result, Source, Step, WEIGHTS_FILE, hash};
+use crate::repository::{Repository, checkpoint_at};
+use crate::{
+    CONFIG_FILE, Checkpoint, ConfigFile, Error, Network, Result, Source, Step, WEIGHTS_FILE, hash,
+};
 
 /// The environment variable that names the folder of all weights: each network's are in
 /// `<TID3R_MODELS>/<network>`.
@@ -77,8 +80,6 @@ impl Found {
         } else {
             path.to_path_buf()
         };
-        let remedy =
-            "convert a checkpoint with `tid3r weights convert FILE -o FOLDER` and give the folder";
         let is_safetensors = weights
             .extension()
             .is_some_and(|extension| extension == "safetensors");
@@ -88,14 +89,19 @@ impl Found {
                 (false, false) => "not there".to_owned(),
                 (true, _) => "not weights in the form that tid3r reads".to_owned(),
             };
-            return Err(Error::file(path, problem, remedy));
+            return Err(Error::file(path, problem, how_to_convert(path)));
         }
         let config = weights.with_file_name(CONFIG_FILE);
         if !config.is_file() {
             let problem = format!("no {CONFIG_FILE} is beside it");
-            return Err(Error::file(&weights, problem, remedy));
+            return Err(Error::file(&weights, problem, how_to_convert(path)));
         }
-        let file = ConfigFile::read(&config)?;
+        let file = match ConfigFile::read(&config) {
+            Err(Error::File { problem, .. }) if !is_ours(&weights) => {
+                return Err(Error::file(&config, problem, how_to_convert(path)));
+            }
+            read => read?,
+        };
         Ok(Self {
             network: file.config.network(),
             folder: weights.parent().unwrap_or(Path::new("")).to_path_buf(),
@@ -104,6 +110,27 @@ impl Found {
             place,
         })
     }
+}
+
+/// What to do with weights at `path` that are not in the form that tid3r reads.
+fn how_to_convert(path: &Path) -> String {
+    let path_shown = path.display();
+    if let Some(repository) = Repository::at(path) {
+        let root = repository.root().display();
+        format!(
+            "convert what is in it: `tid3r weights convert {root} -o MODELS`, and set {MODELS}=MODELS"
+        )
+    } else if path.is_dir() && checkpoint_at(path).is_ok() {
+        format!("convert it: `tid3r weights convert {path_shown} -o FOLDER`, and give FOLDER")
+    } else {
+        "convert a checkpoint with `tid3r weights convert FILE -o FOLDER` and give the folder"
+            .to_owned()
+    }
+}
+
+/// Whether tid3r wrote the file.
+fn is_ours(weights: &Path) -> bool {
+    Checkpoint::open(weights).is_ok_and(|file| file.metadata().contains_key("converter"))
 }
 
 /// The places on this machine where weights can be.
@@ -140,6 +167,11 @@ impl Places {
             models: Some(models.into()),
             ..self
         }
+    }
+
+    /// The folder in which each network has a folder of converted weights, if `TID3R_MODELS` names one.
+    pub fn models(&self) -> Option<&Path> {
+        self.models.as_deref()
     }
 
     /// The folder for converted weights of `network`, if `TID3R_MODELS` names one.
@@ -217,29 +249,9 @@ impl Places {
             Some(cache) => format!("nothing in {}", cache.path().display()),
             None => "no cache of Hugging Face".to_owned(),
         };
-        let target = match self.folder(network) {
-            Some(folder) => folder.display().to_string(),
-            None => format!("MODELS/{}", network.name),
-        };
-        let export = if self.models.is_none() {
-            format!(" and set {MODELS}=MODELS")
-        } else {
-            String::new()
-        };
-        let remedy = match self.published(network) {
-            Some(file) => format!(
-                "its checkpoint is there: `tid3r weights convert {} -o {target}`{export}",
-                file.display()
-            ),
-            None => {
-                let file = network.files[0];
-                let name = file.rsplit('/').next().unwrap_or(file);
-                format!(
-                    "get {file} from {} ({}), then \
-                     `tid3r weights convert {name} -o {target}`{export}",
-                    network.source, network.licence
-                )
-            }
+        let remedy = match network.folder {
+            Some(folder) => self.how_to_get_all(network, folder),
+            None => self.how_to_get(network),
         };
         Error::request(
             format!(
@@ -248,5 +260,70 @@ impl Places {
             ),
             remedy,
         )
+    }
+    /// What to do to have a network that is published by itself.
+    fn how_to_get(&self, network: &Network) -> String {
+        let target = match self.folder(network) {
+            Some(folder) => folder.display().to_string(),
+            None => format!("MODELS/{}", network.name),
+        };
+        let export = self.export();
+        match self.published(network) {
+            Some(file) => format!(
+                "its checkpoint is there: `tid3r weights convert {} -o {target}`{export}",
+                file.display()
+            ),
+            None => {
+                let file = network.files[0];
+                let name = file.rsplit('/').next().unwrap_or(file);
+                format!(
+                    "get {file} from {} ({}), then `tid3r weights convert {name} -o {target}`{export}",
+                    network.source, network.licence
+                )
+            }
+        }
+    }
+
+    /// What to do to have a network that is published in a folder with others.
+    fn how_to_get_all(&self, network: &Network, folder: &str) -> String {
+        let target = match &self.models {
+            Some(models) => models.display().to_string(),
+            None => "MODELS".to_owned(),
+        };
+        let export = self.export();
+        match self.repository_with(network) {
+            Some(repository) => format!(
+                "its checkpoint is there: `tid3r weights convert {} -o {target}`{export}",
+                repository.root().display()
+            ),
+            None => {
+                let name = folder.rsplit('/').next().unwrap_or(folder);
+                format!(
+                    "get {folder} from {} ({}), then `tid3r weights convert {name} -o {target}`{export}",
+                    network.source, network.licence
+                )
+            }
+        }
+    }
+
+    /// The published folder in which the checkpoint of `network` is, if it is here: where converted weights
+    /// should be, or in the local cache of Hugging Face.
+    pub fn repository_with(&self, network: &Network) -> Option<Repository> {
+        let cached = || {
+            let file = self.published(network)?;
+            let depth = network.place()?.components().count() + 1;
+            Some(file.ancestors().nth(depth)?.to_path_buf())
+        };
+        let places = self.models.clone().into_iter().chain(cached());
+        let mut repositories = places.filter_map(|place| Repository::at(&place));
+        repositories.find(|repository| repository.networks().any(|other| other == network))
+    }
+
+    /// What to set so that converted weights are found.
+    fn export(&self) -> String {
+        match self.models {
+            Some(_) => String::new(),
+            None => format!(" and set {MODELS}=MODELS"),
+        }
     }
 }

@@ -8,12 +8,15 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::error::excerpt;
-use crate::{Config, Error, Precision, Result, TensorSpec};
+use crate::{Checkpoint, Config, Error, Precision, Result, TensorSpec};
 
 /// The file with the tensors.
 pub const WEIGHTS_FILE: &str = "model.safetensors";
 /// The file that says what network they are of.
 pub const CONFIG_FILE: &str = "config.json";
+
+/// How the names of unfinished files begin and end.
+pub(crate) const TEMPORARY: (&str, &str) = (".tid3r-", ".part");
 
 /// The longest `config.json` that is read, in bytes.
 const LONGEST: u64 = 1 << 20;
@@ -115,6 +118,8 @@ pub struct Written {
     pub sha256: String,
     /// Where the weights come from.
     pub provenance: Provenance,
+    /// Whether they were there already, and were kept.
+    pub kept: bool,
     /// What a person should know about them.
     pub notes: Vec<String>,
 }
@@ -131,8 +136,9 @@ pub(crate) struct NewFolder<'a> {
 }
 
 impl NewFolder<'_> {
-    /// Refuses a folder that has weights already, unless they are to be replaced.
+    /// Refuses a folder that has weights already, unless they are to be replaced or were never finished.
     pub(crate) fn check(folder: &Path, replace: bool) -> Result<()> {
+        let replace = replace || is_unfinished(folder);
         let taken = [WEIGHTS_FILE, CONFIG_FILE].map(|name| folder.join(name));
         match taken.iter().find(|path| path.exists()) {
             Some(path) if !replace => Err(Error::file(
@@ -171,6 +177,7 @@ impl NewFolder<'_> {
             specs.insert(name, spec);
         }
         fs::create_dir_all(self.folder).map_err(Error::io("create", self.folder))?;
+        clear_away(self.folder)?;
         if config.exists() {
             fs::remove_file(&config).map_err(Error::io("replace", &config))?;
         }
@@ -195,16 +202,37 @@ impl NewFolder<'_> {
             bytes,
             sha256: file.weights_sha256,
             provenance: file.provenance,
+            kept: false,
             notes: self.notes,
         })
     }
 }
 
+/// Whether weights of tid3r's making are in the folder, but not their configuration, which is written
+/// last.
+fn is_unfinished(folder: &Path) -> bool {
+    let weights = Checkpoint::open(&folder.join(WEIGHTS_FILE));
+    let is_ours = weights.is_ok_and(|weights| weights.metadata().contains_key("converter"));
+    is_ours && !folder.join(CONFIG_FILE).exists()
+}
+
+/// Removes what an interrupted conversion to the folder has left, which may be as large as the weights.
+fn clear_away(folder: &Path) -> Result<()> {
+    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.starts_with(TEMPORARY.0) && name.ends_with(TEMPORARY.1) && path.is_file() {
+            fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+        }
+    }
+    Ok(())
+}
+
 fn write_config(path: &Path, file: &ConfigFile) -> Result<()> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let mut temporary = tempfile::Builder::new()
-        .prefix(".tid3r-")
-        .suffix(".part")
+        .prefix(TEMPORARY.0)
+        .suffix(TEMPORARY.1)
         .make_in(folder, |name| fs::File::create_new(name))
         .map_err(Error::io("create a file for", path))?;
     let text = serde_json::to_string_pretty(file).map_err(std::io::Error::from);

@@ -13,6 +13,7 @@
 //! - [`convert()`], [`synthesize()`], [`verify()`]: folders of weights, with `model.safetensors` and
 //!   `config.json` ([`ConfigFile`]), from published checkpoints or from a seed, and whether they are
 //!   sound;
+//! - [`Repository`]: a folder in which all networks of a method are published, converted together;
 //! - [`find()`]: where on this machine weights are;
 //! - [`synth`]: synthetic weights, a pure function of name, shape and seed, with which a network
 //!   is compared with its original without anybody's trained weights;
@@ -32,6 +33,7 @@ mod parts;
 mod pickle;
 mod precision;
 mod progress;
+mod repository;
 mod safetensors_file;
 mod stored;
 pub mod synth;
@@ -45,9 +47,10 @@ pub use error::{Error, Result};
 pub use find::{Found, Place, Places, find};
 pub use folder::{CONFIG_FILE, ConfigFile, Provenance, WEIGHTS_FILE, Written};
 pub use manifest::{Manifest, TensorSpec};
-pub use networks::{Config, Network, Source};
+pub use networks::{Config, Network, Source, see3d};
 pub use precision::Precision;
 pub use progress::Step;
+pub use repository::Repository;
 pub use safetensors::Dtype;
 pub use synthesize::synthesize;
 pub use verify::{Verdict, verify};

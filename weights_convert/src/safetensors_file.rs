@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::Contents;
 use crate::error::excerpt;
+use crate::folder::TEMPORARY;
 use crate::hash::Hashing;
 use crate::stored::StoredTensor;
 use crate::{Error, Result, TensorSpec};
@@ -44,8 +45,8 @@ pub(crate) fn write(
     };
     // `make_in` instead of `tempfile_in`: the file shall have usual permissions, not 0600.
     let temporary = tempfile::Builder::new()
-        .prefix(".tid3r-")
-        .suffix(".part")
+        .prefix(TEMPORARY.0)
+        .suffix(TEMPORARY.1)
         .make_in(folder, |name| File::create_new(name))
         .map_err(Error::io("create a file for", path))?;
 

@@ -6,6 +6,8 @@
 //!
 //! Facts are from baaivision/See3D at 52594ef; tensor names are those of its checkpoints.
 
+pub mod clip;
 pub mod denoise;
 pub mod schedule;
 pub mod unet;
+pub mod vae;

@@ -8,14 +8,18 @@ mod constructor;
 mod mobilesamv2;
 mod mvdust3r;
 mod plan;
+pub mod see3d;
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::path::Path;
 
 use serde::{Deserialize, Serialize, Serializer};
 use tid3r_models::mobilesamv2::{decoder, detector, efficient_vit, tiny_vit, vit};
 use tid3r_models::mvdust3r as dust3r;
+use tid3r_models::see3d::{clip, unet, vae};
 
+use crate::error::first_line;
 use crate::synth::{self, Adjustment};
 use crate::{Error, Result};
 
@@ -32,6 +36,12 @@ pub struct Network {
     pub source: Source,
     /// Checkpoint files there; the first is the one to take.
     pub files: &'static [&'static str],
+    /// The folder there that holds every network of a method, each in a folder of its own: they are
+    /// converted together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub folder: Option<&'static str>,
+    /// What it is needed for.
+    pub purpose: &'static str,
     /// Where its code is published.
     pub upstream: &'static str,
     /// The licence of its weights.
@@ -77,7 +87,7 @@ impl Serialize for Source {
     }
 }
 
-static NETWORKS: [Network; 7] = [
+static NETWORKS: [Network; 13] = [
     mvdust3r::MV_DUST3R,
     mvdust3r::MV_DUST3R_PLUS,
     mobilesamv2::DETECTOR,
@@ -85,6 +95,12 @@ static NETWORKS: [Network; 7] = [
     mobilesamv2::TINY_VIT,
     mobilesamv2::VIT,
     mobilesamv2::DECODER,
+    see3d::SPARSE,
+    see3d::SINGLE,
+    see3d::SUPER_RESOLUTION,
+    see3d::VAE,
+    see3d::IMAGE_ENCODER,
+    see3d::TEXT_ENCODER,
 ];
 
 impl Network {
@@ -107,6 +123,30 @@ impl Network {
                 format!("the networks are {}", names.join(", ")),
             )
         })
+    }
+
+    /// The network called `name`, or all whose names begin with it and a dash: `see3d` is the six of
+    /// See3D.
+    ///
+    /// # Errors
+    ///
+    /// If there is none.
+    pub fn all_named(name: &str) -> Result<Vec<&'static Self>> {
+        let exact = Self::named(name);
+        let in_group = |network: &&Self| {
+            (network.name.strip_prefix(name)).is_some_and(|rest| rest.starts_with('-'))
+        };
+        let group: Vec<_> = Self::all().iter().filter(in_group).collect();
+        match exact {
+            Err(_) if !group.is_empty() => Ok(group),
+            exact => Ok(vec![exact?]),
+        }
+    }
+
+    /// Where its own folder is within that of its method.
+    pub(crate) fn place(&self) -> Option<&'static Path> {
+        let file = Path::new(self.files.first()?);
+        file.strip_prefix(self.folder?).ok()?.parent()
     }
 
     /// Size of its weights as f32, in bytes.
@@ -159,6 +199,18 @@ pub enum Config {
     /// The prompt encoder and mask decoder of MobileSAMv2.
     #[serde(rename = "mobilesamv2-decoder")]
     Decoder(decoder::Config),
+    /// One of See3D's three UNets.
+    #[serde(rename = "see3d-unet")]
+    Unet(see3d::UnetConfig),
+    /// The VAE of See3D.
+    #[serde(rename = "see3d-vae")]
+    Vae(vae::Config),
+    /// The image encoder of See3D.
+    #[serde(rename = "see3d-image-encoder")]
+    ImageEncoder(see3d::ImageEncoderConfig),
+    /// The text encoder of See3D.
+    #[serde(rename = "see3d-text-encoder")]
+    TextEncoder(see3d::TextEncoderConfig),
 }
 
 impl Config {
@@ -178,8 +230,15 @@ impl Config {
             Self::TinyVit(config) => tiny_vit::TinyVit::tensors(config),
             Self::Vit(config) => vit::Vit::tensors(config),
             Self::Decoder(config) => decoder::Decoder::tensors(config),
+            Self::Unet(config) => {
+                let checked = config.scheduler.check();
+                checked.and_then(|()| unet::Unet::tensors(&config.unet))
+            }
+            Self::Vae(config) => vae::Vae::tensors(config),
+            Self::ImageEncoder(config) => clip::VisionEncoder::tensors(&config.vision),
+            Self::TextEncoder(config) => clip::TextEncoder::tensors(&config.text),
         };
-        tensors.map_err(|e| e.to_string())
+        tensors.map_err(|e| first_line(&e))
     }
 
     /// Which network it is of.
@@ -192,6 +251,14 @@ impl Config {
             Self::TinyVit(_) => &mobilesamv2::TINY_VIT,
             Self::Vit(_) => &mobilesamv2::VIT,
             Self::Decoder(_) => &mobilesamv2::DECODER,
+            Self::Unet(config) => match config.variant {
+                see3d::Variant::Sparse => &see3d::SPARSE,
+                see3d::Variant::Single => &see3d::SINGLE,
+                see3d::Variant::SuperResolution => &see3d::SUPER_RESOLUTION,
+            },
+            Self::Vae(_) => &see3d::VAE,
+            Self::ImageEncoder(_) => &see3d::IMAGE_ENCODER,
+            Self::TextEncoder(_) => &see3d::TEXT_ENCODER,
         }
     }
 }

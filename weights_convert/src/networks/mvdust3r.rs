@@ -18,6 +18,8 @@ pub(super) const MV_DUST3R: Network = Network {
     title: "MV-DUSt3R",
     source: Source::HuggingFace("Zhenggang/MV-DUSt3R"),
     files: &["checkpoints/MVD.pth"],
+    folder: None,
+    purpose: "reconstruction from photos",
     upstream: "https://github.com/facebookresearch/mvdust3r",
     licence: "CC BY-NC 4.0, non-commercial use only",
     parameters: 547_989_522,

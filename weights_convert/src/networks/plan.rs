@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{Config, Network, mobilesamv2, mvdust3r};
+use super::{Config, Network, mobilesamv2, mvdust3r, see3d};
 use crate::error::excerpt;
 use crate::{Checkpoint, Error, Result};
 
@@ -14,6 +14,8 @@ pub(crate) struct Hints<'a> {
     pub(crate) heads: Option<(usize, usize)>,
     /// The configuration, if another file says it.
     pub(crate) config: Option<&'a Config>,
+    /// Which network it is of, where neither its tensors nor its folder say.
+    pub(crate) network: Option<&'static Network>,
 }
 
 /// How a checkpoint becomes the weights of a network.
@@ -34,6 +36,9 @@ impl Plan {
             return mvdust3r::plan(checkpoint, hints);
         }
         if let Some(plan) = mobilesamv2::plan(checkpoint, &hints)? {
+            return Ok(plan);
+        }
+        if let Some(plan) = see3d::plan(checkpoint, &hints)? {
             return Ok(plan);
         }
         let shapes = checkpoint.shapes();

@@ -13,6 +13,8 @@ pub(in crate::networks) const DECODER: Network = Network {
         "https://github.com/ChaoningZhang/MobileSAM/tree/master/MobileSAMv2/PromptGuidedDecoder",
     ),
     files: &["Prompt_guided_Mask_Decoder.pt"],
+    folder: None,
+    purpose: "segmentation: a mask for each box",
     upstream: UPSTREAM,
     licence: "Apache-2.0",
     parameters: 4_059_364,

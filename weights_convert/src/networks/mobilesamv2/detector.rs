@@ -11,6 +11,8 @@ pub(in crate::networks) const DETECTOR: Network = Network {
     title: "MobileSAMv2's object-aware detector (YOLOv8)",
     source: README,
     files: &["ObjectAwareModel.pt"],
+    folder: None,
+    purpose: "segmentation: boxes around whatever is a thing",
     upstream: UPSTREAM,
     licence: "Apache-2.0 by the repository that publishes it; \
               it was trained with Ultralytics YOLOv8, which is AGPL-3.0",

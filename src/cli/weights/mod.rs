@@ -1,13 +1,14 @@
+mod convert;
+mod synthesize;
+mod target;
+
 use super::{output, terminal::Terminal};
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand, builder::PossibleValuesParser};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use tid3r::progress::Progress;
-use tid3r_weights_convert::{
-    self as weights, ConvertOptions, Found, Network, Place, Places, Precision, Step, Verdict,
-    Written,
-};
+use tid3r_weights_convert::{self as weights, Found, Network, Place, Places, Step, Verdict};
 
 /// Manage the weights of the networks: list, find, convert, check, or make synthetic ones.
 ///
@@ -21,8 +22,10 @@ use tid3r_weights_convert::{
     tid3r weights convert MVD.pth -o ~/models/mvdust3r\n  \
     tid3r weights convert MVDp_s2.pth --dtype bf16 -o ~/models/mvdust3r-plus\n  \
     tid3r weights convert ObjectAwareModel.pt -o ~/models/mobilesamv2-detector\n  \
+    tid3r weights convert MVD_weights --dtype f16 -o ~/models\n  \
     tid3r weights verify ~/models/mvdust3r\n  \
-    tid3r weights synthesize mvdust3r --tiny -o tiny")]
+    tid3r weights synthesize mvdust3r --tiny -o tiny\n  \
+    tid3r weights synthesize see3d --tiny -o tiny-models")]
 pub(super) struct Weights {
     #[command(subcommand)]
     action: Action,
@@ -32,9 +35,9 @@ pub(super) struct Weights {
 enum Action {
     List(List),
     Path(PathOf),
-    Convert(Convert),
+    Convert(convert::Convert),
     Verify(Verify),
-    Synthesize(Synthesize),
+    Synthesize(synthesize::Synthesize),
 }
 
 /// List the networks: where their weights come from, licence, size, and whether they are here.
@@ -58,31 +61,12 @@ struct PathOf {
     json: bool,
 }
 
-/// Convert a published checkpoint (.pth, .pt, .safetensors) to the form that tid3r reads.
-///
-/// Writes model.safetensors and config.json, with the source's hash and licence. The checkpoint is
-/// read as data: nothing in it is executed. It must have exactly the tensors of the network, which is
-/// found out from them; memory use is small whatever its size. A checkpoint in several files is given by
-/// its index (.index.json). A .safetensors file of tid3r's is read too, for example to convert to another
-/// precision.
-#[derive(Debug, Args)]
-struct Convert {
-    /// The checkpoint, or a network's name for that in the local cache of Hugging Face
-    #[arg(value_name = "CHECKPOINT")]
-    source: PathBuf,
-    #[command(flatten)]
-    target: Target,
-    /// Attention heads of encoder and decoder, for a checkpoint that does not say them
-    #[arg(long, value_name = "ENCODER,DECODER", value_parser = heads)]
-    heads: Option<(usize, usize)>,
-}
-
 /// Check weights: tensors and shapes against the configuration, NaN and infinity, SHA-256.
 ///
 /// Exit code 1 if anything is wrong.
 #[derive(Debug, Args)]
 struct Verify {
-    /// The folder, the .safetensors file in it, or a network's name
+    /// The folder, the .safetensors file in it, or the name of a network, or of a method for all its networks
     #[arg(value_name = "WEIGHTS")]
     weights: PathBuf,
     /// Print the report as JSON
@@ -90,52 +74,8 @@ struct Verify {
     json: bool,
 }
 
-/// Make weights from a seed, with the names and shapes of the real ones.
-///
-/// A network runs on them as on real ones, for tests and measurements; what it says is noise. The same
-/// seed gives the same file everywhere.
-#[derive(Debug, Args)]
-struct Synthesize {
-    /// The network
-    #[arg(value_name = "NETWORK", value_parser = names())]
-    network: String,
-    #[command(flatten)]
-    target: Target,
-    /// A network with all its parts, but of a few megabytes at most
-    #[arg(long)]
-    tiny: bool,
-    /// Where the numbers come from
-    #[arg(long, value_name = "N", default_value_t = 42)]
-    seed: u64,
-}
-
-/// Where and how weights are written.
-#[derive(Debug, Args)]
-struct Target {
-    /// The folder to write [default: that of the network in TID3R_MODELS]
-    #[arg(short, long, value_name = "FOLDER")]
-    output: Option<PathBuf>,
-    /// Type of the numbers to write: f32, f16 or bf16
-    #[arg(long, value_name = "TYPE", default_value_t)]
-    dtype: Precision,
-    /// Replace weights that are there already
-    #[arg(long)]
-    force: bool,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
-}
-
 fn names() -> PossibleValuesParser {
     PossibleValuesParser::new(Network::all().iter().map(|network| network.name))
-}
-
-fn heads(text: &str) -> Result<(usize, usize), String> {
-    let parsed = (text.split_once(',')).and_then(|(encoder, decoder)| {
-        let count = |text: &str| text.trim().parse().ok().filter(|&count| count > 0);
-        Some((count(encoder)?, count(decoder)?))
-    });
-    parsed.ok_or_else(|| "expected two numbers, as in 16,12".to_string())
 }
 
 impl Weights {
@@ -223,6 +163,7 @@ impl List {
                     "weights",
                     format!("{}: {}", network.source, network.files.join(", or ")),
                 ),
+                ("for", network.purpose.to_string()),
                 ("code", network.upstream.to_string()),
                 ("licence", network.licence.to_string()),
                 (
@@ -266,62 +207,43 @@ impl PathOf {
     }
 }
 
-impl Convert {
-    fn run(self, terminal: &Terminal) -> Result<()> {
-        let places = Places::of_environment();
-        let named = self
-            .source
-            .to_str()
-            .and_then(|name| Network::named(name).ok());
-        let source = match named.filter(|_| !self.source.exists()) {
-            Some(network) => match places.published(network) {
-                Some(file) => file,
-                None => bail!(
-                    "{} is not in the local cache of Hugging Face; get it from {} and give the file",
-                    network.files[0],
-                    network.source
-                ),
-            },
-            None => self.source,
-        };
-        let options = ConvertOptions {
-            precision: self.target.dtype,
-            replace: self.target.force,
-            heads: self.heads,
-        };
-        let folder = self
-            .target
-            .folder(|| weights::network_of(&source, &options), &places)?;
-        let written = weights::convert(&source, &folder, &options, &mut shown(terminal))?;
-        self.target.report(&written)
-    }
-}
-
 impl Verify {
     fn run(self, terminal: &Terminal) -> Result<()> {
-        let named = self
-            .weights
-            .to_str()
-            .and_then(|name| Network::named(name).ok());
-        let found = match named.filter(|_| !self.weights.exists()) {
-            Some(network) => Places::of_environment().find(network, None)?,
-            None => Found::at(&self.weights)?,
+        let named = match self.weights.to_str() {
+            Some(name) if !self.weights.exists() => Network::all_named(name).ok(),
+            _ => None,
         };
-        let verdict = weights::verify(&found, &mut shown(terminal))?;
+        let places = Places::of_environment();
+        let found = match &named {
+            Some(networks) => {
+                let found = networks.iter().map(|network| places.find(network, None));
+                found.collect::<weights::Result<_>>()?
+            }
+            None => vec![Found::at(&self.weights)?],
+        };
+        let verdicts = found
+            .iter()
+            .map(|found| weights::verify(found, &mut shown(terminal)));
+        let verdicts: Vec<Verdict> = verdicts.collect::<weights::Result<_>>()?;
         if self.json {
-            output::json(&verdict)?;
+            match &verdicts[..] {
+                [verdict] => output::json(verdict)?,
+                several => output::json(&several)?,
+            }
         }
-        if !verdict.ok {
-            bail!(
-                "{}: {}; convert or get the weights again",
-                verdict.weights.display(),
-                verdict.problems.join("; ")
-            );
+        let bad = verdicts.iter().filter(|verdict| !verdict.ok);
+        let bad: Vec<_> = bad
+            .map(|verdict| {
+                let problems = verdict.problems.join("; ");
+                format!("{}: {problems}", verdict.weights.display())
+            })
+            .collect();
+        if !bad.is_empty() {
+            bail!("{}; convert or get the weights again", bad.join("; "));
         }
-        if self.json {
-            Ok(())
-        } else {
-            verified(&verdict)
+        match self.json {
+            true => Ok(()),
+            false => verdicts.iter().try_for_each(verified),
         }
     }
 }
@@ -338,66 +260,6 @@ fn verified(verdict: &Verdict) -> Result<()> {
         verdict.provenance.source,
     ))?;
     output::line(format!("SHA-256 {}", verdict.sha256))
-}
-
-impl Synthesize {
-    fn run(self, terminal: &Terminal) -> Result<()> {
-        let network = Network::named(&self.network)?;
-        let config = if self.tiny {
-            network.tiny()
-        } else {
-            network.released()
-        };
-        let folder = self
-            .target
-            .folder(|| Ok(network), &Places::of_environment())?;
-        let Target { dtype, force, .. } = self.target;
-        let written = weights::synthesize(
-            config,
-            self.seed,
-            dtype,
-            &folder,
-            force,
-            &mut shown(terminal),
-        )?;
-        self.target.report(&written)
-    }
-}
-
-impl Target {
-    /// The folder to write: that which is given, else that of the network in `TID3R_MODELS`.
-    fn folder(
-        &self,
-        network: impl FnOnce() -> weights::Result<&'static Network>,
-        places: &Places,
-    ) -> Result<PathBuf> {
-        if let Some(folder) = &self.output {
-            return Ok(folder.clone());
-        }
-        match places.folder(network()?) {
-            Some(folder) => Ok(folder),
-            None => bail!("no folder to write to; give -o FOLDER, or set TID3R_MODELS"),
-        }
-    }
-
-    fn report(&self, written: &Written) -> Result<()> {
-        for note in &written.notes {
-            tracing::warn!("{note}");
-        }
-        if self.json {
-            return output::json(written);
-        }
-        output::line(format!(
-            "{}: {}, {} tensors, {} numbers of {}, {} (licence: {})",
-            written.folder.display(),
-            written.network,
-            written.tensors,
-            written.numbers,
-            written.dtype,
-            size(written.bytes),
-            written.provenance.licence,
-        ))
-    }
 }
 
 /// A number of bytes for people.

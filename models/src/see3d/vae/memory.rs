@@ -1,0 +1,150 @@
+//! How much memory a run takes.
+
+use candle_core::Result;
+
+use super::{Config, Decoder, Encoder, Tiling};
+
+/// Estimated peak of memory of one half on any number of pictures, in bytes, without what the program
+/// itself needs and without the pictures and latents of others than the one at hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Memory {
+    /// The weights, in f32 (mapped pages of the file, or a widened copy), and once more as they are laid
+    /// out for fast convolutions.
+    pub weights: usize,
+    /// Everything else: the maps that are alive at once in the largest tile's largest block.
+    pub working: usize,
+}
+
+impl Memory {
+    /// The memory to encode pictures of `height` x `width` pixels.
+    ///
+    /// # Errors
+    ///
+    /// If the sizes in `config` do not fit each other, or tiles cannot be of the size that the tiling
+    /// says.
+    pub fn of_encoding(
+        config: &Config,
+        (height, width): (usize, usize),
+        tiling: Tiling,
+    ) -> Result<Self> {
+        let weights = weights(&Encoder::tensors(config)?);
+        let widths = &config.block_out_channels;
+        let (rows, columns) = largest(&tiling.of_encoding(config)?.sizes((height, width)));
+        let pixels = |level: usize| (rows >> level) * (columns >> level);
+        let level = |i: usize| {
+            let (inputs, outputs) = (widths[i.saturating_sub(1)], widths[i]);
+            pixels(i) * residual_block(inputs, outputs)
+        };
+        let levels = (0..widths.len()).map(level).max().unwrap_or(0);
+        let last = widths.len() - 1;
+        let maps = levels.max(pixels(last) * attention(widths[last]));
+        Ok(Self::new(
+            weights,
+            maps + config.in_channels * height * width,
+        ))
+    }
+
+    /// The memory to decode pictures of `height` x `width` pixels.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::of_encoding`].
+    pub fn of_decoding(
+        config: &Config,
+        (height, width): (usize, usize),
+        tiling: Tiling,
+    ) -> Result<Self> {
+        let weights = weights(&Decoder::tensors(config)?);
+        let widths: Vec<usize> = config.block_out_channels.iter().rev().copied().collect();
+        let latents = (height / config.scale(), width / config.scale());
+        let (rows, columns) = largest(&tiling.of_decoding(config)?.sizes(latents));
+        let pixels = |level: usize| (rows << level) * (columns << level);
+        let level = |i: usize| {
+            let (inputs, outputs) = (widths[i.saturating_sub(1)], widths[i]);
+            let up = match i + 1 == widths.len() {
+                true => 0,
+                false => 5 * outputs,
+            };
+            pixels(i) * residual_block(inputs, outputs).max(up)
+        };
+        let levels = (0..widths.len()).map(level).max().unwrap_or(0);
+        let maps = levels.max(pixels(0) * attention(widths[0]));
+        Ok(Self::new(
+            weights,
+            maps + config.out_channels * height * width,
+        ))
+    }
+
+    fn new(weights: usize, maps: usize) -> Self {
+        // What a convolution holds while it runs.
+        const SCRATCH: usize = 16 << 20;
+        Self {
+            weights: weights * size_of::<f32>(),
+            working: maps * size_of::<f32>() + SCRATCH,
+        }
+    }
+
+    /// All of it.
+    pub fn total(&self) -> usize {
+        self.weights + self.working
+    }
+}
+
+/// Numbers that stay while a network of these tensors is in memory.
+fn weights(tensors: &std::collections::BTreeMap<String, Vec<usize>>) -> usize {
+    let of_tensor = |shape: &Vec<usize>| {
+        let count: usize = shape.iter().product();
+        let laid_out = match shape[..] {
+            // Fast convolutions have 36 products for 9 weights.
+            [outputs, inputs, 3, 3] if outputs.min(inputs) >= 32 => 4 * count,
+            [_, _, _, _] => count,
+            _ => 0,
+        };
+        count + laid_out
+    };
+    tensors.values().map(of_tensor).sum()
+}
+
+fn largest(tiles: &[(usize, usize)]) -> (usize, usize) {
+    let pixels = |tile: &(usize, usize)| tile.0 * tile.1;
+    tiles.iter().copied().max_by_key(pixels).unwrap_or((0, 0))
+}
+
+/// Numbers for a pixel: the input, normed, and what becomes of it; or with the shortcut; or of the
+/// second half.
+fn residual_block(inputs: usize, outputs: usize) -> usize {
+    let shortcut = match inputs == outputs {
+        true => 0,
+        false => inputs + 2 * outputs,
+    };
+    (2 * inputs + outputs).max(shortcut).max(3 * outputs)
+}
+
+/// Numbers for a place: its input, queries, keys, values, what they come to, and the result.
+fn attention(channels: usize) -> usize {
+    7 * channels
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_released_network() {
+        let config = Config::released();
+        let decoding = |side, tiling| Memory::of_decoding(&config, (side, side), tiling).unwrap();
+        // 49.5 million numbers, of which 48.3 million four times more.
+        let half = decoding(512, Tiling::Released);
+        let weights = half.weights as f64 / 1e6;
+        assert!((weights - 4.0 * 242.7).abs() < 2.0, "{weights}");
+        // 256 channels, normed, and 128 of them made.
+        let maps = |side: usize, channels: usize| 4 * side * side * channels;
+        assert_eq!(half.working, maps(512, 640 + 3) + (16 << 20));
+        // Tiles of 512 take as much for larger pictures, but for the picture.
+        let tiled = decoding(1024, Tiling::Tiles(512));
+        assert_eq!(tiled.working - half.working, maps(1024, 3) - maps(512, 3));
+        assert_eq!(half.total(), half.weights + half.working);
+        let encoding = Memory::of_encoding(&config, (512, 512), Tiling::Whole).unwrap();
+        assert_eq!(encoding.working, maps(512, 384 + 3) + (16 << 20));
+    }
+}
