@@ -11,9 +11,7 @@ pub mod see3d;
 mod stage;
 mod top_down;
 
-pub use completer::{
-    Bare, Completed, Completer, Completion, Keeps, Kept, Step, View, Views,
-};
+pub use completer::{Bare, Completed, Completer, Completion, Keeps, Kept, Step, View, Views};
 pub use contact_sheet::contact_sheet;
 pub use path::{PathFile, between, orbit};
 pub use projection::{Projection, SplatParams, project};

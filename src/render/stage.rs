@@ -385,9 +385,14 @@ impl Disk<'_> {
     fn pending(&self, steps: &[Step], force: bool) -> Vec<usize> {
         let mut pending: Vec<usize> = Vec::new();
         for (number, step) in steps.iter().enumerate().rev() {
-            let is_needed = pending.iter().any(|&later| steps[later].after.contains(&number));
+            let is_needed = pending
+                .iter()
+                .any(|&later| steps[later].after.contains(&number));
             let lacks = |file: String| !self.record.holds(&file, &self.recipes[number]);
-            let mut pictures = step.views.iter().flat_map(|&view| View::files(self.name(view)));
+            let mut pictures = step
+                .views
+                .iter()
+                .flat_map(|&view| View::files(self.name(view)));
             let mut kept = step.keeps.iter().flat_map(|keeps| {
                 let views = keeps.views.iter();
                 views.map(|&view| kept_file(self.name(view), keeps.name))

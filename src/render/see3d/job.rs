@@ -109,7 +109,11 @@ impl Job<'_> {
             let unet = unet::Work::new(&config.unet, Precision::Exact, frames, self.latents(stage));
             let sampler = self.settings.sampler(stage, Halves::Together);
             let denoising = sampler.computed(&unet, &Schedule::new(&config.scheduler)?)?;
-            let vae = vae::Work::new(self.weights.vae_config().map_err(message)?, (side, side), tiling)?;
+            let vae = vae::Work::new(
+                self.weights.vae_config().map_err(message)?,
+                (side, side),
+                tiling,
+            )?;
             let (encoding, decoding) = (frames as f64, part.targets.len() as f64);
             Ok(denoising + encoding * vae.encode + decoding * vae.decode)
         };

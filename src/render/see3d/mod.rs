@@ -35,8 +35,8 @@ pub use frames::Frames;
 pub use grouping::{Group, main_groups, super_resolution_groups};
 pub use params::{Quality, See3dParams};
 pub use picture::{
-    PIXELS_PER_LATENT, as_grey, from_unit_range, in_unit_range, known, latent_masks, luma, squashed,
-    tensor,
+    PIXELS_PER_LATENT, as_grey, from_unit_range, in_unit_range, known, latent_masks, luma,
+    squashed, tensor,
 };
 pub use weights::See3dWeights;
 

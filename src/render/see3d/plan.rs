@@ -121,7 +121,10 @@ impl Job<'_> {
             readable_bytes(bytes),
             readable_bytes(limit)
         );
-        let remedy = format!("allow for {}, or begin again with --force", readable_bytes(bytes));
+        let remedy = format!(
+            "allow for {}, or begin again with --force",
+            readable_bytes(bytes)
+        );
         Err(Error::request(problem, remedy))
     }
 
@@ -138,27 +141,45 @@ impl Job<'_> {
             let mut most = encoders;
             for stage in self.settings.stages() {
                 let frames = parts.iter().filter(|part| part.stage == stage);
-                let frames = frames.map(|part| part.frames(self.photos)).max().unwrap_or(0);
+                let frames = frames
+                    .map(|part| part.frames(self.photos))
+                    .max()
+                    .unwrap_or(0);
                 most = most.max(self.stage_bytes(stage, frames, &plan.way)?);
             }
             Ok(PROGRAM_BYTES + most)
         };
-        sum().map(|bytes| bytes as u64)
+        sum()
+            .map(|bytes| bytes as u64)
             .map_err(|error| unknown(&network_problem(&error)))
     }
 
     fn stage_bytes(&self, stage: Stage, frames: usize, way: &Way) -> candle_core::Result<usize> {
         let known = |error: Error| candle_core::Error::Msg(error.to_string());
-        let config = &self.weights.unet_config(stage, self.photos).map_err(known)?.unet;
+        let config = &self
+            .weights
+            .unet_config(stage, self.photos)
+            .map_err(known)?
+            .unet;
         let groups = match way.halves() {
             Halves::Together => self.settings.sampler(stage, Halves::Together).groups(),
             Halves::InTurn => 1,
         };
         let latents = self.latents(stage);
         let unet = unet::Memory::new(config, Precision::Exact, groups, frames, latents)?;
-        let numbers = Unet::tensors(config)?.values().map(|shape| shape.iter().product::<usize>()).sum();
-        let is_half = self.weights.unet_is_half(stage, self.photos, numbers).map_err(known)?;
-        let weights = if way.compact && is_half { unet.weights / 2 } else { unet.weights };
+        let numbers = Unet::tensors(config)?
+            .values()
+            .map(|shape| shape.iter().product::<usize>())
+            .sum();
+        let is_half = self
+            .weights
+            .unet_is_half(stage, self.photos, numbers)
+            .map_err(known)?;
+        let weights = if way.compact && is_half {
+            unet.weights / 2
+        } else {
+            unet.weights
+        };
         let side = self.settings.side(stage) as usize;
         let (vae, size) = (self.weights.vae_config().map_err(known)?, (side, side));
         let encoding = vae::Memory::of_encoding(vae, size, way.tiling())?.total();
@@ -187,7 +208,11 @@ impl Job<'_> {
             "{} guided by {} at {side}x{side}{} need {needed} of memory, and there may be {}",
             counted(group.min(self.views), "view"),
             counted(photos, "photo"),
-            if self.settings.super_resolution { " and twice that" } else { "" },
+            if self.settings.super_resolution {
+                " and twice that"
+            } else {
+                ""
+            },
             readable_bytes(limit)
         );
         for fewer in (1..group).rev() {
@@ -196,7 +221,10 @@ impl Job<'_> {
             }
         }
         for fewer in (1..photos).rev() {
-            let job = Job { photos: fewer, ..*self };
+            let job = Job {
+                photos: fewer,
+                ..*self
+            };
             if least(&job, 1)? <= limit {
                 let remedy = format!("give --references {fewer} and --group 1");
                 return Err(Error::request(problem, remedy));
@@ -207,7 +235,11 @@ impl Job<'_> {
                 size: side,
                 ..self.settings.clone()
             };
-            let job = Job { photos: 1, settings: &settings, ..*self };
+            let job = Job {
+                photos: 1,
+                settings: &settings,
+                ..*self
+            };
             if least(&job, 1)? <= limit {
                 let remedy = format!("give --size {side}, --references 1 and --group 1");
                 return Err(Error::request(problem, remedy));
@@ -253,7 +285,12 @@ impl Job<'_> {
 impl Plan {
     /// What is done to fit into memory, in words, if anything is.
     pub(super) fn concessions(&self) -> Option<String> {
-        let Way { stays, in_turn, compact, tile } = self.way;
+        let Way {
+            stays,
+            in_turn,
+            compact,
+            tile,
+        } = self.way;
         let mut all = Vec::new();
         if !stays {
             all.push("the network is read again for each group".to_string());

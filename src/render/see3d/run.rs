@@ -37,6 +37,8 @@ pub(super) struct Run<'a> {
     see3d: &'a See3d,
     views: &'a Views<'a>,
     plan: Plan,
+    /// Whether the plan was made when the same was begun before.
+    is_taken_up: bool,
     /// One for each step.
     parts: Vec<Part>,
     steps: Vec<Step>,
@@ -55,9 +57,21 @@ pub(super) struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    pub(super) fn new(see3d: &'a See3d, views: &'a Views<'a>, plan: Option<&Value>) -> Result<Self> {
+    pub(super) fn new(
+        see3d: &'a See3d,
+        views: &'a Views<'a>,
+        plan: Option<&Value>,
+    ) -> Result<Self> {
+        if views.references.is_empty() {
+            let problem = "there is no photo that could guide See3D";
+            return Err(Error::request(
+                problem,
+                "complete the views with --refine fill",
+            ));
+        }
         let job = see3d.job(views);
         let known = plan.and_then(|plan| serde_json::from_value(plan.clone()).ok());
+        let is_taken_up = known.is_some();
         let plan = match known {
             Some(plan) => plan,
             None => job.plan(see3d.max_memory)?,
@@ -82,6 +96,7 @@ impl<'a> Run<'a> {
             see3d,
             views,
             plan,
+            is_taken_up,
             parts,
             steps,
             work,
@@ -140,7 +155,12 @@ impl<'a> Run<'a> {
     }
 
     /// Takes the frames of a part through the networks; the pictures that come of its targets.
-    fn complete(&mut self, part: &Part, frames: &Frames, watch: &mut Watch) -> Result<Vec<RgbImage>> {
+    fn complete(
+        &mut self,
+        part: &Part,
+        frames: &Frames,
+        watch: &mut Watch,
+    ) -> Result<Vec<RgbImage>> {
         let guides = self.guides[&part.group].clone();
         let latents = self.encode(part, &guides, frames, watch)?;
         let sampler = self.settings().sampler(part.stage, self.plan.way.halves());
@@ -176,7 +196,15 @@ impl<'a> Run<'a> {
             let context = denoise::context(text, look, sampler.groups(), count)?;
             let context = unet.context(&context)?;
             let schedule = Schedule::new(schedule)?;
-            let latents = denoise(&unet, &context, &conditions, &schedule, &sampler, &mut noise, watch)?;
+            let latents = denoise(
+                &unet,
+                &context,
+                &conditions,
+                &schedule,
+                &sampler,
+                &mut noise,
+                watch,
+            )?;
             let first = frames.references + part.carried.len();
             latents.narrow(0, first, part.targets.len())
         };
@@ -187,7 +215,7 @@ impl<'a> Run<'a> {
             drop(unet);
         }
         let decoder = weights.decoder(self.plan.way.tiling())?;
-        let decoded = || {
+        let mut decoded = || {
             let mut pictures = Vec::new();
             for k in 0..part.targets.len() {
                 let decoded = decoder.decode_observed(&latents.narrow(0, k, 1)?, watch)?;
@@ -199,7 +227,13 @@ impl<'a> Run<'a> {
     }
 
     /// Latents of all frames.
-    fn encode(&mut self, part: &Part, guides: &[usize], frames: &Frames, watch: &mut Watch) -> Result<Tensor> {
+    fn encode(
+        &mut self,
+        part: &Part,
+        guides: &[usize],
+        frames: &Frames,
+        watch: &mut Watch,
+    ) -> Result<Tensor> {
         let encoder = self.see3d.weights.encoder(self.plan.way.tiling())?;
         let (stage, seed) = (part.stage, self.settings().seed);
         let mut encode = || {
@@ -213,11 +247,15 @@ impl<'a> Run<'a> {
                         Some(k) => (Purpose::View, part.targets.start + k),
                     },
                 };
-                let known = self.latents.get(&(stage, number)).filter(|_| purpose == Purpose::Photo);
+                let known = self
+                    .latents
+                    .get(&(stage, number))
+                    .filter(|_| purpose == Purpose::Photo);
                 let these = match known {
                     Some(known) => known.clone(),
                     None => {
-                        let moments = encoder.encode_observed(&pictures.narrow(0, frame, 1)?, watch)?;
+                        let moments =
+                            encoder.encode_observed(&pictures.narrow(0, frame, 1)?, watch)?;
                         let mut normals = Normals::new(seed, stage.name(), purpose, number);
                         moments.latents(&normals.tensor(moments.mean()?.dims())?)?
                     }
@@ -287,7 +325,9 @@ impl Completion for Run<'_> {
 
     fn prepare(&mut self, steps: &[usize], progress: &dyn Progress) -> Result<()> {
         let job = self.job();
-        job.check(&self.plan, self.see3d.max_memory)?;
+        if self.is_taken_up {
+            job.check(&self.plan, self.see3d.max_memory)?;
+        }
         let parts: Vec<&Part> = steps.iter().map(|&step| &self.parts[step]).collect();
         for notice in self.see3d.notices(&job)? {
             progress.note(&notice);
@@ -300,7 +340,12 @@ impl Completion for Run<'_> {
         self.look(progress)
     }
 
-    fn take(&mut self, step: usize, kept: &dyn Kept, done: &mut dyn FnMut(f64)) -> Result<Vec<Completed>> {
+    fn take(
+        &mut self,
+        step: usize,
+        kept: &dyn Kept,
+        done: &mut dyn FnMut(f64),
+    ) -> Result<Vec<Completed>> {
         let part = self.parts[step].clone();
         let (frames, projections) = self.frames(&part, kept)?;
         let mut watch = Watch {
@@ -310,7 +355,11 @@ impl Completion for Run<'_> {
         };
         let pictures = self.complete(&part, &frames, &mut watch)?;
         let details = self.details(&part)?;
-        let Step { finishes, ref keeps, .. } = self.steps[step];
+        let Step {
+            finishes,
+            ref keeps,
+            ..
+        } = self.steps[step];
         let results = part.targets.clone().zip(pictures).zip(projections);
         let completed = results.map(|((view, picture), projection)| {
             let (width, height) = projection.colour.dimensions();
@@ -319,7 +368,10 @@ impl Completion for Run<'_> {
                     picture: squashed(&picture, [width, height]),
                     projection,
                 }),
-                kept: keeps.as_ref().filter(|keeps| keeps.views.contains(&view)).map(|_| picture),
+                kept: keeps
+                    .as_ref()
+                    .filter(|keeps| keeps.views.contains(&view))
+                    .map(|_| picture),
                 details: details.clone(),
             }
         });
@@ -347,7 +399,10 @@ fn earlier(number: usize, parts: &[Part]) -> Vec<usize> {
     let part = &parts[number];
     let gives = |other: &Part| {
         let carried = part.carried.iter().any(|view| other.targets.contains(view));
-        let completes = part.targets.clone().any(|view| other.targets.contains(&view));
+        let completes = part
+            .targets
+            .clone()
+            .any(|view| other.targets.contains(&view));
         (other.stage == part.stage && carried) || (other.stage < part.stage && completes)
     };
     (0..number).filter(|&other| gives(&parts[other])).collect()
@@ -360,7 +415,11 @@ struct PartNoise<'a> {
 }
 
 impl denoise::Noise for PartNoise<'_> {
-    fn draw(&mut self, draw: Draw, shape: (usize, usize, usize, usize)) -> candle_core::Result<Tensor> {
+    fn draw(
+        &mut self,
+        draw: Draw,
+        shape: (usize, usize, usize, usize),
+    ) -> candle_core::Result<Tensor> {
         let purpose = match draw {
             Draw::Latents => Purpose::Start,
             Draw::Warp(step) => Purpose::Step(step),
@@ -391,7 +450,10 @@ impl Observer for Watch<'_> {
 )]
 fn failed(error: candle_core::Error) -> Error {
     Error::request(
-        format!("See3D cannot complete these views: {}", network_problem(&error)),
+        format!(
+            "See3D cannot complete these views: {}",
+            network_problem(&error)
+        ),
         "report this as a defect",
     )
 }

@@ -88,7 +88,11 @@ impl See3dWeights {
     pub fn synthetic_tiny(params: &See3dParams) -> Result<Self> {
         const SEED: u64 = 42;
         let folder = tempfile::tempdir().map_err(Error::io("create", &std::env::temp_dir()))?;
-        let main = if params.references > 1 { SPARSE } else { SINGLE };
+        let main = if params.references > 1 {
+            SPARSE
+        } else {
+            SINGLE
+        };
         let super_resolution = params.super_resolution.then_some(SUPER_RESOLUTION);
         let networks = [main, VAE, IMAGE_ENCODER, TEXT_ENCODER];
         for name in networks.into_iter().chain(super_resolution) {
@@ -241,7 +245,8 @@ impl See3dWeights {
     /// Whether the networks understand each other.
     fn check(&self) -> Result<()> {
         let vae = self.vae_config()?;
-        if vae.latent_channels != Conditions::CHANNELS || vae.scale() != PIXELS_PER_LATENT as usize {
+        if vae.latent_channels != Conditions::CHANNELS || vae.scale() != PIXELS_PER_LATENT as usize
+        {
             let problem = "they make no latents of 4 channels for 8x8 pixels";
             return Err(damaged(&self.vae, &problem));
         }

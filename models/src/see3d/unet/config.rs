@@ -202,7 +202,10 @@ impl Config {
             } else if shapes.contains_key(&name("0.in_layers.2.weight")) {
                 let width = size(&name("0.in_layers.2.weight"), 0)?;
                 if repeats[level] > 0 && width != widths[level] {
-                    bail!("the blocks of a level have {} and {width} channels", widths[level]);
+                    bail!(
+                        "the blocks of a level have {} and {width} channels",
+                        widths[level]
+                    );
                 }
                 widths[level] = width;
                 repeats[level] += 1;
