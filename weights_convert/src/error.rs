@@ -46,13 +46,19 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 /// Text that a file gives, as it can stand in a message: on one line, printable, and no longer than
 /// people read.
 pub(crate) fn excerpt(text: &str) -> String {
-    const MOST: usize = 120;
-    let mut shown: String = text
-        .chars()
-        .take(MOST)
-        .flat_map(char::escape_debug)
-        .collect();
-    if text.chars().nth(MOST).is_some() {
+    shortened(text, 120)
+}
+
+/// The same of no more than so many characters.
+pub(crate) fn shortened(text: &str, most: usize) -> String {
+    let mut shown = String::new();
+    for character in text.chars().take(most) {
+        match character {
+            '\'' | '"' => shown.push(character),
+            _ => shown.extend(character.escape_debug()),
+        }
+    }
+    if text.chars().nth(most).is_some() {
         shown.push_str("..");
     }
     shown
@@ -108,6 +114,7 @@ mod tests {
     #[test]
     fn an_excerpt_is_one_short_line() {
         assert_eq!(excerpt("enc_blocks.0.é"), "enc_blocks.0.é");
+        assert_eq!(excerpt("a layer's \"width\""), "a layer's \"width\"");
         assert_eq!(excerpt("a\nb\u{1b}[31m"), "a\\nb\\u{1b}[31m");
         assert_eq!(excerpt(&"x".repeat(1 << 20)).len(), 122);
     }

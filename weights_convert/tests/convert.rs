@@ -19,6 +19,7 @@ const HEADS: ConvertOptions = ConvertOptions {
     precision: Precision::F32,
     replace: false,
     heads: Some((2, 2)),
+    network: None,
 };
 
 #[test]

@@ -13,7 +13,7 @@ use serde_json::{Map, Value};
 use tid3r_models::see3d::clip::Tokenizer;
 
 use super::config::Preprocessor;
-use crate::error::{excerpt, first_line};
+use crate::error::{excerpt, first_line, shortened};
 use crate::{CONFIG_FILE, Error, Result};
 
 /// The longest file that is read, in bytes. Those that are published have some kilobytes.
@@ -83,7 +83,8 @@ impl Beside {
 
     /// An error about it.
     pub(super) fn refuse(&self, problem: &str) -> Error {
-        Error::file(&self.path, excerpt(problem), REMEDY)
+        // It may quote the file.
+        Error::file(&self.path, shortened(problem, 300), REMEDY)
     }
 }
 
