@@ -15,6 +15,7 @@ mod layers;
 mod mobilesamv2;
 mod mvdust3r;
 mod photos;
+mod see3d;
 
 use anyhow::{Context, Result, ensure};
 use case::Case;
@@ -45,7 +46,7 @@ fn runner(model: &str) -> Option<Runner> {
         "estimate_focal" => geometry::estimate_focals,
         "demo_geometry" => geometry::demo_geometry,
         "metrics" => geometry::metrics,
-        other => return mobilesamv2::runner(other),
+        other => return mobilesamv2::runner(other).or_else(|| see3d::runner(other)),
     })
 }
 

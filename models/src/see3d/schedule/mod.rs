@@ -22,7 +22,7 @@ pub use noise::{betas, cumulative, rescaled_to_zero};
 pub struct Schedule {
     config: Config,
     /// `alphas_cumprod`.
-    alphas: Vec<f64>,
+    alphas: Vec<f32>,
 }
 
 /// What a network's output says of a sample.
@@ -67,7 +67,7 @@ impl Schedule {
     /// If there is no such timestep.
     pub fn alpha(&self, timestep: usize) -> Result<f64> {
         match self.alphas.get(timestep) {
-            Some(&alpha) => Ok(alpha),
+            Some(&alpha) => Ok(f64::from(alpha)),
             None => bail!("there is no timestep {timestep} of {}", self.alphas.len()),
         }
     }
@@ -76,7 +76,7 @@ impl Schedule {
     pub fn final_alpha(&self) -> f64 {
         match self.config.set_alpha_to_one {
             true => 1.0,
-            false => self.alphas[0],
+            false => f64::from(self.alphas[0]),
         }
     }
 
