@@ -197,7 +197,7 @@ fn blend(before: &Tensor, after: &Tensor, extent: usize, axis: usize) -> Result<
 
 #[cfg(test)]
 mod tests {
-    use candle_core::Device;
+    use candle_core::{DType, Device};
     use proptest::prelude::*;
 
     use super::*;
@@ -274,6 +274,29 @@ mod tests {
             flat(&blend(&before, &after, 5, 1).unwrap()),
             [9.0, 0.0, 4.0]
         );
+    }
+
+    #[test]
+    fn tiles_that_differ_leave_no_seam() {
+        let config = Config {
+            sample_size: 32,
+            ..Config::default()
+        };
+        let tiles = Tiling::Released.of_encoding(&config).unwrap();
+        for width in 33..120 {
+            let x = Tensor::zeros((1, 5, width, 1), DType::F32, &Device::Cpu).unwrap();
+            let mut number = -1.0;
+            let got = tiles.run(&x, &mut |tile| {
+                number += 1.0;
+                tile + number
+            });
+            // Each tile is one more than the one before, and goes over into it within 8 columns.
+            let got = flat(&got.unwrap().narrow(1, 0, 1).unwrap());
+            for pair in got.windows(2) {
+                let step = pair[1] - pair[0];
+                assert!((-1e-6..=0.25 + 1e-6).contains(&step), "{width}: {step}");
+            }
+        }
     }
 
     proptest! {
