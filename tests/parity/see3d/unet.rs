@@ -10,8 +10,8 @@ use tid3r_models::{
     Observer,
     nn::Precision,
     see3d::unet::{
-        Downsample, Embedding, FeedForward, ResBlock, SpatialTransformer, TransformerBlock,
-        Unet, Upsample, timestep_embedding,
+        Downsample, Embedding, FeedForward, ResBlock, SpatialTransformer, TransformerBlock, Unet,
+        Upsample, timestep_embedding,
     },
 };
 use tid3r_weights_convert::Config as Converted;
