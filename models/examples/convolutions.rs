@@ -1,5 +1,5 @@
 //! Times convolutions of the shapes that networks have: `cargo run --release -p tid3r-models --example
-//! convolutions [RUNS]`. Speed counts what the definition multiplies, so fewer multiplications show
+//! convolutions [RUNS [NETWORK]]`; the best run counts, since others may use the machine. Speed counts what the definition multiplies, so fewer multiplications show
 //! as a speed above the machine's.
 #![expect(clippy::print_stdout, reason = "this program is for reading")]
 
@@ -19,7 +19,8 @@ struct Layer {
     outputs: usize,
     kernel: usize,
     stride: usize,
-    /// Of the image that comes in.
+    frames: usize,
+    /// Of the images that come in.
     size: (usize, usize),
 }
 
@@ -36,25 +37,54 @@ const fn layer(
         outputs: channels.1,
         kernel,
         stride,
+        frames: 1,
         size,
     }
 }
 
+/// Three frames of 256 x 256 pixels, as latents or what becomes of them.
+const fn latents(channels: (usize, usize), kernel: usize, stride: usize, size: usize) -> Layer {
+    Layer {
+        frames: 3,
+        ..layer(SEE3D, channels, kernel, stride, (size, size))
+    }
+}
+
 const MVDUST3R: &str = "MV-DUSt3R skip";
+/// See3D's denoising network.
 const SEE3D: &str = "See3D";
+/// See3D's autoencoder.
+const SEE3D_VAE: &str = "See3D VAE";
 /// MobileSAMv2's detector, on 768 x 1024 pixels.
 const YOLO: &str = "YOLOv8x";
 /// MobileSAMv2's encoder EfficientViT-SAM L2.
 const EFFICIENTVIT: &str = "EfficientViT L2";
 
-const LAYERS: [Layer; 31] = [
+const LAYERS: [Layer; 48] = [
     layer(MVDUST3R, (6, 256), 3, 1, (224, 224)),
     layer(MVDUST3R, (256, 256), 5, 1, (224, 224)),
     layer(MVDUST3R, (256, 3), 3, 1, (224, 224)),
     layer(SEE3D, (320, 320), 3, 1, (64, 64)),
     layer(SEE3D, (640, 640), 3, 1, (32, 32)),
     layer(SEE3D, (1280, 1280), 3, 1, (16, 16)),
-    layer(SEE3D, (512, 512), 3, 1, (128, 128)),
+    latents((9, 320), 3, 1, 32),
+    latents((320, 320), 3, 1, 32),
+    latents((960, 320), 3, 1, 32),
+    latents((960, 320), 1, 1, 32),
+    latents((320, 4), 3, 1, 32),
+    latents((320, 320), 3, 2, 32),
+    latents((640, 640), 3, 1, 16),
+    latents((1280, 1280), 3, 1, 8),
+    latents((2560, 1280), 3, 1, 8),
+    latents((1280, 1280), 3, 2, 8),
+    latents((1280, 1280), 3, 1, 4),
+    latents((2560, 1280), 3, 1, 4),
+    latents((2560, 1280), 1, 1, 4),
+    layer(SEE3D_VAE, (4, 512), 3, 1, (64, 64)),
+    layer(SEE3D_VAE, (512, 512), 3, 1, (128, 128)),
+    layer(SEE3D_VAE, (256, 256), 3, 1, (256, 256)),
+    layer(SEE3D_VAE, (128, 128), 3, 1, (512, 512)),
+    layer(SEE3D_VAE, (128, 3), 3, 1, (512, 512)),
     layer(YOLO, (80, 80), 3, 1, (192, 256)),
     layer(YOLO, (160, 160), 3, 1, (96, 128)),
     layer(YOLO, (320, 320), 3, 1, (96, 128)),
@@ -99,6 +129,8 @@ const PRECISIONS: [Precision; 2] = [Precision::Exact, Precision::Fast];
 const SKIP: [(usize, usize, usize); 4] = [(6, 256, 3), (256, 256, 5), (256, 256, 5), (256, 3, 3)];
 
 fn main() -> Result<()> {
+    let only = std::env::args().nth(2);
+    let wanted = |network: &str| only.as_ref().is_none_or(|only| only == network);
     let runs = match std::env::args().nth(1) {
         Some(runs) => runs.parse().map_err(Error::wrap)?,
         None => 5,
@@ -107,24 +139,26 @@ fn main() -> Result<()> {
     println!("{peak:.0} GFLOP/s at most");
     println!(
         "{:<16} {:>32} {:>9} {:>9} {:>9} {:>8} {:>6}",
-        "network", "layer", "precision", "first ms", "median ms", "GFLOP/s", "peak"
+        "network", "layer", "precision", "first ms", "best ms", "GFLOP/s", "peak"
     );
     let timer = Timer { runs, peak };
-    for layer in LAYERS {
+    for layer in LAYERS.iter().filter(|layer| wanted(layer.network)) {
         let Layer {
             inputs,
             outputs,
             kernel,
             stride,
+            frames,
             size,
             ..
-        } = layer;
-        let x = image(size, inputs)?;
+        } = *layer;
+        let x = image((frames * size.0, size.1), inputs)?;
+        let x = x.reshape((frames, size.0, size.1, inputs))?;
         let shape = format!(
-            "{inputs} > {outputs}, {kernel}x{kernel} / {stride}, {}x{}",
+            "{inputs} > {outputs}, {kernel}x{kernel} / {stride}, {frames}x{}x{}",
             size.0, size.1
         );
-        let pixels = size.0.div_ceil(stride) * size.1.div_ceil(stride);
+        let pixels = frames * size.0.div_ceil(stride) * size.1.div_ceil(stride);
         let multiplications = pixels * inputs * outputs * kernel * kernel;
         for precision in PRECISIONS {
             let conv = conv(inputs, outputs, kernel, precision)?.with_stride(stride);
@@ -132,6 +166,9 @@ fn main() -> Result<()> {
                 conv.forward(&x, Activation::Silu)
             })?;
         }
+    }
+    if only.is_some() {
+        return Ok(());
     }
     for (channels, kernel, stride, size) in DEPTHWISE {
         let conv = DepthwiseConv2d::new(channels, kernel, &weights())?.with_stride(stride);
@@ -225,17 +262,16 @@ impl Timer {
             Ok(start.elapsed())
         };
         let first = run()?;
-        let mut times = (0..self.runs).map(|_| run()).collect::<Result<Vec<_>>>()?;
-        times.sort();
-        let Some(median) = times.get(times.len() / 2) else {
+        let times = (0..self.runs).map(|_| run()).collect::<Result<Vec<_>>>()?;
+        let Some(best) = times.iter().min() else {
             return Err(Error::Msg("at least one run is needed".to_owned()));
         };
-        let rate = 2e-9 * multiplications as f64 / median.as_secs_f64();
+        let rate = 2e-9 * multiplications as f64 / best.as_secs_f64();
         println!(
             "{network:<16} {shape:>32} {:>9} {:>9.1} {:>9.1} {rate:>8.0} {:>4.0} %",
             format!("{precision:?}"),
             first.as_secs_f64() * 1e3,
-            median.as_secs_f64() * 1e3,
+            best.as_secs_f64() * 1e3,
             100.0 * rate / self.peak
         );
         Ok(())

@@ -1,4 +1,4 @@
-//! Times the kernels on the shapes of MV-DUSt3R.
+//! Times the kernels on the shapes of MV-DUSt3R and See3D.
 //!
 //! `cargo run --release -p tid3r-models --example kernels [THREADS]`
 #![allow(clippy::print_stdout, reason = "a program for the terminal")]
@@ -8,10 +8,12 @@ use std::time::Instant;
 use candle_core::{Device, Result, Tensor};
 use tid3r_models::Weights;
 use tid3r_models::nn::cpu::{Isa, measured_peak_flops};
-use tid3r_models::nn::{Activation, LayerNorm, Linear, Memory, Rope2d, attention};
+use tid3r_models::nn::{
+    Activation, GatedLinear, GroupNorm, LayerNorm, Linear, Memory, Rope2d, attention,
+};
 
 /// How often each kernel runs; the best time counts, since others may use the machine.
-const RUNS: usize = 20;
+const RUNS: usize = 10;
 
 /// Shapes (tokens, inputs, outputs) of linear layers: encoder at 8 views, 4 and 1; decoder.
 const LINEAR: [(usize, usize, usize); 16] = [
@@ -31,6 +33,31 @@ const LINEAR: [(usize, usize, usize); 16] = [
     (1568, 768, 3072),
     (1568, 3072, 768),
     (196, 768, 768),
+];
+
+/// See3D's, for three frames of 256 x 256 pixels: tokens and channels of its levels.
+const LEVELS: [(usize, usize); 4] = [(3072, 320), (768, 640), (192, 1280), (48, 1280)];
+
+/// See3D's: batch, heads, queries, keys, channels of a head, and whether a batch shares its memory.
+const ATTENTION: [(usize, usize, usize, usize, usize, bool); 8] = [
+    (1, 5, 3072, 3072, 64, false),
+    (1, 5, 4096, 4096, 64, false),
+    (1, 10, 768, 768, 64, false),
+    (1, 20, 192, 192, 64, false),
+    (3, 5, 1024, 77, 64, true),
+    (1, 16, 257, 257, 80, false),
+    (1, 8, 1024, 1024, 160, false),
+    (1, 1, 4096, 4096, 512, false),
+];
+
+/// See3D's: frames, pixels and channels that are normalised.
+const NORMS: [(usize, usize, usize); 6] = [
+    (3, 1024, 320),
+    (3, 1024, 960),
+    (3, 64, 1280),
+    (1, 128 * 128, 512),
+    (1, 256 * 256, 256),
+    (1, 512 * 512, 128),
 ];
 
 fn main() -> Result<()> {
@@ -97,6 +124,43 @@ fn bench() -> Result<()> {
             &format!("attention {batch} x {heads} heads, {queries} to {keys}"),
             flops,
             seconds,
+        );
+    }
+    for (tokens, channels) in LEVELS {
+        let x = random((1, tokens, channels))?;
+        for outputs in [channels, 4 * channels] {
+            let layer = Linear::new(channels, outputs, &weights())?;
+            let flops = 2.0 * (tokens * channels * outputs) as f64;
+            let name = format!("linear {tokens} x {channels} x {outputs}");
+            let seconds = best(|| layer.forward(&x, Activation::Identity))?;
+            report(&name, flops, seconds);
+        }
+        let layer = GatedLinear::new(channels, 4 * channels, &weights())?;
+        let flops = 2.0 * (tokens * channels * 8 * channels) as f64;
+        let name = format!("gated {tokens} x {channels} x {}", 4 * channels);
+        report(&name, flops, best(|| layer.forward(&x))?);
+    }
+    for (batch, heads, queries, keys, width, shared) in ATTENTION {
+        let memories = if shared { 1 } else { batch };
+        let q = random((batch, queries, width * heads))?;
+        let memory = Memory {
+            k: random((memories, keys, width * heads))?,
+            v: random((memories, keys, width * heads))?,
+        };
+        let flops = 4.0 * (batch * heads * queries * keys * width) as f64;
+        let seconds = best(|| attention(&q, std::slice::from_ref(&memory), heads))?;
+        let name = format!("attention {batch} x {heads} of {width}, {queries} to {keys}");
+        report(&name, flops, seconds);
+    }
+    for (frames, pixels, channels) in NORMS {
+        let norm = GroupNorm::new(32, channels, 1e-5, &weights())?;
+        let x = random((frames, pixels, channels))?;
+        let seconds = best(|| norm.forward(&x, Activation::Silu))?;
+        println!(
+            "{:<40} {:>8.2} ms {:>6.1} GB/s",
+            format!("group norm, SiLU {frames} x {pixels} x {channels}"),
+            seconds * 1e3,
+            8.0 * x.elem_count() as f64 / 1e9 / seconds
         );
     }
     let x = random((8, 196, 1024))?;

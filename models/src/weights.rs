@@ -3,8 +3,11 @@
 //! A network's constructor asks a [`Weights`] for each of its tensors by the name that the tensor
 //! has in the original checkpoint, and gets a [`Parameter`]. On a CPU a parameter of an f32 file *is*
 //! the file: the file is mapped into memory, nothing is copied or converted at start, and pages are
-//! read when a layer first uses them. Half-precision files are widened to f32 tensor by tensor.
+//! read when a layer first uses them. Half-precision files are widened to f32 tensor by tensor, or, if
+//! memory matters more than the little time that takes, on the way into the kernels
+//! ([`Weights::open_compact`]).
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::fs::File;
@@ -32,7 +35,11 @@ struct Shared {
 }
 
 enum Source {
-    File(MappedFile),
+    File {
+        file: MappedFile,
+        /// Whether half precision stays as it is where a layer takes that.
+        compact: bool,
+    },
     Function(Box<Make>),
     /// Nothing: whoever asks is only listed.
     Names,
@@ -60,18 +67,20 @@ impl Weights {
     ///
     /// If the file cannot be opened or mapped, or is no safetensors file.
     pub fn open(path: &Path, device: &Device) -> Result<Self> {
-        Ok(Self::of(Source::File(MappedFile::open(path)?), device))
+        let (file, compact) = (MappedFile::open(path)?, false);
+        Ok(Self::of(Source::File { file, compact }, device))
     }
 
-    /// As [`Self::open`], for networks whose memory matters more than the time to read them: where
-    /// layers can, they keep numbers of half precision as they are in the file, and widen them when they
-    /// use them.
+    /// As [`Self::open`], but on a CPU, the weights of linear maps and of most convolutions stay as they are
+    /// in the file if that is in half precision; they are widened whenever they are used. Results are the
+    /// same. A network then takes half the memory, and a few percent more time.
     ///
     /// # Errors
     ///
     /// As [`Self::open`].
     pub fn open_compact(path: &Path, device: &Device) -> Result<Self> {
-        Self::open(path, device)
+        let (file, compact) = (MappedFile::open(path)?, device.is_cpu());
+        Ok(Self::of(Source::File { file, compact }, device))
     }
 
     /// Weights made by `make` from name and shape (values row-major), when they are asked for.
@@ -116,15 +125,24 @@ impl Weights {
         }
     }
 
-    /// The tensor called `name` below this prefix.
+    /// The tensor called `name` below this prefix, in f32.
     ///
     /// # Errors
     ///
     /// If there is none of that name, or it has another shape or a type that is no float.
     pub fn get(&self, shape: impl Into<Vec<usize>>, name: &str) -> Result<Parameter> {
-        let (name, shape) = (self.full(name), shape.into());
+        self.read(shape.into(), name, false)
+    }
+
+    /// As [`Self::get`], but in half precision if the file is [compact](Self::open_compact).
+    pub(crate) fn get_stored(&self, shape: impl Into<Vec<usize>>, name: &str) -> Result<Parameter> {
+        self.read(shape.into(), name, true)
+    }
+
+    fn read(&self, shape: Vec<usize>, name: &str, stored: bool) -> Result<Parameter> {
+        let name = self.full(name);
         let values = match &self.shared.source {
-            Source::File(file) => file.get(&name, &shape)?,
+            Source::File { file, compact } => file.get(&name, &shape, stored && *compact)?,
             Source::Function(make) => {
                 let values = make(&name, &shape);
                 if values.len() != shape.iter().product::<usize>() {
@@ -148,7 +166,7 @@ impl Weights {
 
     /// The names of the file's tensors that nobody asked for, in order.
     pub fn unused(&self) -> Vec<String> {
-        let Source::File(file) = &self.shared.source else {
+        let Source::File { file, .. } = &self.shared.source else {
             return Vec::new();
         };
         let asked = self.asked();
@@ -193,7 +211,8 @@ impl MappedFile {
         })
     }
 
-    fn get(&self, name: &str, shape: &[usize]) -> Result<Values> {
+    /// A tensor; in half precision only if `stored`.
+    fn get(&self, name: &str, shape: &[usize], stored: bool) -> Result<Values> {
         let path = self.path.display();
         let Some(entry) = self.tensors.get(name) else {
             bail!("{path}: the tensor {name} {shape:?} is missing");
@@ -205,11 +224,16 @@ impl MappedFile {
             );
         }
         let bytes = &self.map[entry.bytes.clone()];
+        let mapped = |kind| Values::Mapped {
+            map: Arc::clone(&self.map),
+            bytes: entry.bytes.clone(),
+            kind,
+        };
+        let aligned = |size: usize| bytes.as_ptr().align_offset(size) == 0;
         Ok(match entry.dtype {
-            Dtype::F32 if bytemuck::try_cast_slice::<u8, f32>(bytes).is_ok() => Values::Mapped {
-                map: Arc::clone(&self.map),
-                bytes: entry.bytes.clone(),
-            },
+            Dtype::F32 if aligned(4) => mapped(Kind::F32),
+            Dtype::F16 if stored && aligned(2) => mapped(Kind::F16),
+            Dtype::BF16 if stored && aligned(2) => mapped(Kind::Bf16),
             Dtype::F32 => widened(bytes, f32::from_le_bytes),
             Dtype::F16 => widened(bytes, |b| f16::from_le_bytes(b).to_f32()),
             Dtype::BF16 => widened(bytes, |b| bf16::from_le_bytes(b).to_f32()),
@@ -232,20 +256,47 @@ pub struct Parameter {
 
 #[derive(Clone)]
 enum Values {
-    /// Part of a mapped file, aligned for f32.
+    /// Part of a mapped file, aligned for its kind of numbers.
     Mapped {
         map: Arc<Mmap>,
         bytes: Range<usize>,
+        kind: Kind,
     },
     Owned(Arc<[f32]>),
     /// On a device that is no CPU.
     Device(Tensor),
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    F32,
+    F16,
+    Bf16,
+}
+
+/// Numbers in the CPU's memory as they are stored.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Numbers<'a> {
+    F32(&'a [f32]),
+    F16(&'a [f16]),
+    Bf16(&'a [bf16]),
+}
+
+impl Numbers<'_> {
+    /// How many they are.
+    pub(crate) fn len(&self) -> usize {
+        match self {
+            Self::F32(values) => values.len(),
+            Self::F16(values) => values.len(),
+            Self::Bf16(values) => values.len(),
+        }
+    }
+}
+
 impl std::fmt::Debug for Values {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
-            Self::Mapped { .. } => "mapped",
+            Self::Mapped { kind, .. } => return write!(f, "mapped {kind:?}"),
             Self::Owned(_) => "owned",
             Self::Device(_) => "on a device",
         })
@@ -297,13 +348,37 @@ impl Parameter {
         &self.shape
     }
 
-    /// The values, row-major, if they are on the CPU.
+    /// The values, row-major, if they are on the CPU and in f32.
     pub fn host(&self) -> Option<&[f32]> {
+        match self.numbers()? {
+            Numbers::F32(values) => Some(values),
+            Numbers::F16(_) | Numbers::Bf16(_) => None,
+        }
+    }
+
+    /// The values, row-major, if they are on the CPU.
+    pub(crate) fn numbers(&self) -> Option<Numbers<'_>> {
         match &self.values {
-            Values::Mapped { map, bytes } => Some(bytemuck::cast_slice(&map[bytes.clone()])),
-            Values::Owned(values) => Some(values),
+            Values::Mapped { map, bytes, kind } => {
+                let bytes = &map[bytes.clone()];
+                Some(match kind {
+                    Kind::F32 => Numbers::F32(bytemuck::cast_slice(bytes)),
+                    Kind::F16 => Numbers::F16(bytemuck::cast_slice(bytes)),
+                    Kind::Bf16 => Numbers::Bf16(bytemuck::cast_slice(bytes)),
+                })
+            }
+            Values::Owned(values) => Some(Numbers::F32(values)),
             Values::Device(_) => None,
         }
+    }
+
+    /// The values in f32, row-major, if they are on the CPU.
+    pub(crate) fn widened(&self) -> Option<Cow<'_, [f32]>> {
+        Some(match self.numbers()? {
+            Numbers::F32(values) => Cow::Borrowed(values),
+            Numbers::F16(values) => values.par_iter().map(|x| x.to_f32()).collect(),
+            Numbers::Bf16(values) => values.par_iter().map(|x| x.to_f32()).collect(),
+        })
     }
 
     /// The rows of these numbers of a matrix, in this order: (rows, columns). So tokens get their
@@ -319,7 +394,7 @@ impl Parameter {
         if let Some(index) = indices.iter().find(|&&index| index as usize >= rows) {
             bail!("row {index} of {rows} is wanted");
         }
-        match self.host() {
+        match self.widened() {
             Some(values) => {
                 let rows = indices.iter().map(|&index| index as usize * columns);
                 let values: Vec<f32> = rows
@@ -342,11 +417,10 @@ impl Parameter {
     pub fn tensor(&self) -> Result<Tensor> {
         match &self.values {
             Values::Device(tensor) => Ok(tensor.clone()),
-            Values::Mapped { .. } | Values::Owned(_) => Tensor::from_slice(
-                self.host().unwrap_or_default(),
-                &self.shape[..],
-                &Device::Cpu,
-            ),
+            Values::Mapped { .. } | Values::Owned(_) => {
+                let values = self.widened().unwrap_or_default();
+                Tensor::from_slice(&values, &self.shape[..], &Device::Cpu)
+            }
         }
     }
 }
@@ -394,6 +468,22 @@ mod tests {
         let b = weights.get([3], "b").unwrap();
         assert_eq!(b.host().unwrap(), [1.0, -2.0, bf16::from_f32(0.1).to_f32()]);
         assert_eq!(weights.unused(), ["n"]);
+    }
+
+    #[test]
+    fn half_precision_stays_where_it_is_wanted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = file(&folder);
+        let weights = Weights::open_compact(&path, &Device::Cpu).unwrap();
+        let wide = Weights::open(&path, &Device::Cpu).unwrap();
+        for (name, kind) in [("h", "F16"), ("b", "Bf16"), ("a", "F32")] {
+            let shape = if name == "a" { vec![2, 2] } else { vec![3] };
+            let stored = weights.get_stored(shape.clone(), name).unwrap();
+            assert_eq!(format!("{:?}", stored.values), format!("mapped {kind}"));
+            let want = wide.get_stored(shape.clone(), name).unwrap();
+            assert_eq!(stored.widened().unwrap(), want.host().unwrap());
+            assert_eq!(weights.get(shape, name).unwrap().host(), want.host());
+        }
     }
 
     #[test]

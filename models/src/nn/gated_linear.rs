@@ -2,12 +2,14 @@
 
 use candle_core::{D, Result, Tensor};
 
+use super::cpu::{self, HostTensor, Isa};
 use super::{Activation, Linear};
-use crate::Weights;
+use crate::{Parameter, Weights};
 
 /// `(x V^T + b) gelu(x G^T + c)`, with the exact GELU (Shazeer 2020, "GEGLU").
 ///
-/// `V` and `b` are the first halves of `weight` and `bias`, `G` and `c` the second.
+/// `V` and `b` are the first halves of `weight` and `bias`, `G` and `c` the second. On a CPU, values and
+/// gates exist for some rows and outputs at a time only.
 #[derive(Clone, Debug)]
 pub struct GatedLinear {
     both: Linear,
@@ -33,7 +35,19 @@ impl GatedLinear {
     ///
     /// If `x` has another number of channels.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.plain(x)
+        let Linear {
+            weight,
+            bias,
+            inputs,
+            ..
+        } = &self.both;
+        let bias = bias.as_ref().and_then(Parameter::host);
+        match (weight.numbers(), bias) {
+            (Some(weight), Some(bias)) if HostTensor::fits(x) && x.dim(D::Minus1)? == *inputs => {
+                cpu::gated_linear(Isa::current()?, x, weight, bias)
+            }
+            _ => self.plain(x),
+        }
     }
 
     /// The same, half by half.

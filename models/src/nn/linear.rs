@@ -36,7 +36,7 @@ impl Linear {
     ///
     /// As [`Self::new`].
     pub fn without_bias(inputs: usize, outputs: usize, weights: &Weights) -> Result<Self> {
-        let weight = weights.get([outputs, inputs], "weight")?;
+        let weight = weights.get_stored([outputs, inputs], "weight")?;
         Ok(Self {
             weight,
             bias: None,
@@ -90,7 +90,7 @@ impl Linear {
     /// If `x` has another number of channels.
     pub fn forward(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
         self.check(x)?;
-        match self.weight.host() {
+        match self.weight.numbers() {
             Some(weight) if HostTensor::fits(x) => {
                 cpu::linear(Isa::current()?, x, weight, self.bias(), activation, None)
             }
@@ -105,7 +105,7 @@ impl Linear {
     /// If `x` or `residual` has another shape.
     pub fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
         self.check(x)?;
-        match self.weight.host() {
+        match self.weight.numbers() {
             Some(weight) if HostTensor::fits(x) && HostTensor::fits(residual) => {
                 let (isa, activation) = (Isa::current()?, Activation::Identity);
                 cpu::linear(isa, x, weight, self.bias(), activation, Some(residual))
@@ -127,7 +127,7 @@ impl Linear {
     }
 
     /// `x W^T + b` by candle's own operations.
-    fn plain(&self, x: &Tensor) -> Result<Tensor> {
+    pub(super) fn plain(&self, x: &Tensor) -> Result<Tensor> {
         let weight = self.weight.tensor()?.reshape((self.outputs, self.inputs))?;
         let shape = [&x.dims()[..x.rank() - 1], &[self.outputs]].concat();
         let rows = x.contiguous()?.reshape(((), self.inputs))?;

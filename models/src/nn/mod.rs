@@ -12,6 +12,8 @@ mod activation;
 mod attention;
 mod block;
 mod by_head;
+#[cfg(test)]
+mod compact_tests;
 mod conv;
 pub mod cpu;
 mod exchange;

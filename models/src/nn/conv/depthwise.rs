@@ -140,8 +140,8 @@ impl DepthwiseConv2d {
                 bail!("the weights of this convolution are not on the CPU");
             };
             let isa = Isa::current()?;
-            let (weight, bias) = (&folded.weight, &folded.bias);
-            Depthwise::new(isa, weight, bias, self.kernel(), self.stride)
+            let weight = folded.weight.host().unwrap_or_default();
+            Depthwise::new(isa, weight, &folded.bias, self.kernel(), self.stride)
         };
         let prepared = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
         prepared.as_ref().map_err(|e| Error::Msg(e.clone()))

@@ -31,8 +31,8 @@ pub enum Precision {
     /// As exact as sums of f32 are, that is, up to 1e-6; for 5x5 kernels up to 3e-6.
     #[default]
     Exact,
-    /// Fewer multiplications: up to 3e-6 for 3x3 kernels, up to 1e-4 for 5x5 kernels. Others, and
-    /// layers of more than 2^20 pairs of an input and an output, are exact.
+    /// Fewer multiplications: up to 3e-6 for 3x3 kernels, up to 1e-4 for 5x5 kernels. Others, and those of
+    /// images of a few pixels, are exact.
     Fast,
 }
 
@@ -41,10 +41,10 @@ pub enum Precision {
 /// ([`Self::with_padding_after`] is an exception). Images are (batch, height, width, channels): channels
 /// last.
 ///
-/// On a CPU, weights are laid out for the kernel that suits them when [`Self::forward`] is first
-/// called, and shared by clones. Beside the weights as they were read, that takes as much memory as
-/// they do, or, where Winograd's algorithm is used (3x3 and 5x5 kernels of stride 1, at least 32
-/// channels), times 16/9 (exact) or 4 (fast) for 3x3, times 36/25 or 4 for 5x5.
+/// On a CPU, Winograd's algorithm is used for 3x3 and 5x5 kernels of stride 1 with at least 32 channels.
+/// It uses the weights as they were read, also if that is in half precision
+/// ([`Weights::open_compact`]). For other kernels, they are laid out in f32 when [`Self::forward`] is first
+/// called, and shared by clones; that takes as much memory again.
 #[derive(Clone)]
 pub struct Conv2d {
     /// The weight is (outputs, inputs, kernel, kernel).
@@ -184,16 +184,17 @@ impl Conv2d {
     ///
     /// If `x` has another shape.
     pub fn forward(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
-        self.run(&[x], activation, None)
+        self.run(self.images(&[x])?, &[x], activation, None)
     }
 
-    /// `residual + conv(x)`; `residual` has the shape of the result.
+    /// `residual + conv(x)`; `residual` has the shape of the result. A single pixel that is broadcast to that
+    /// shape is not copied.
     ///
     /// # Errors
     ///
     /// If `x` or `residual` has another shape.
     pub fn forward_add(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
-        self.run(&[x], Activation::Identity, Some(residual))
+        self.forward_then_add(x, Activation::Identity, residual)
     }
 
     /// `residual + activation(conv(x))`; `residual` has the shape of the result.
@@ -207,7 +208,7 @@ impl Conv2d {
         activation: Activation,
         residual: &Tensor,
     ) -> Result<Tensor> {
-        self.run(&[x], activation, Some(residual))
+        self.run(self.images(&[x])?, &[x], activation, Some(residual))
     }
 
     /// `activation(conv(x))` where the channels of `x` are those of `parts`, one after the other. A part
@@ -220,26 +221,36 @@ impl Conv2d {
     ///
     /// If there are no parts, or they do not fit each other or the channels.
     pub fn forward_of(&self, parts: &[&Tensor], activation: Activation) -> Result<Tensor> {
-        self.run(parts, activation, None)
+        self.run(self.images(parts)?, parts, activation, None)
     }
 
-    /// `activation(conv(y))`, where `y` is `x` with each pixel repeated to a square of 2 x 2; the result is
-    /// (batch, 2 height, 2 width, outputs).
+    /// `activation(conv(y))`, where `y` is `x` with each pixel repeated to a square of 2 x 2, as by
+    /// [`upsample_nearest`]; the result is (batch, 2 height, 2 width, outputs), if there is no stride.
+    ///
+    /// On a CPU, where [Winograd's algorithm](Self) is used, `y` never exists; and for kernels of 3, two
+    /// thirds of the multiplications of a [`Precision::Exact`] convolution remain.
     ///
     /// # Errors
     ///
     /// If `x` has another shape.
     pub fn forward_upsampled(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
-        self.forward(&upsample_nearest(x, 2)?, activation)
+        let images = self.images(&[x])?;
+        let doubled = Images {
+            height: 2 * images.height,
+            width: 2 * images.width,
+            ..images
+        };
+        self.run(doubled, &[x], activation, None)
     }
 
+    /// `activation(conv(x)) + residual`, where `parts` enlarged to the size of `images` are `x`.
     fn run(
         &self,
+        images: Images,
         parts: &[&Tensor],
         activation: Activation,
         residual: Option<&Tensor>,
     ) -> Result<Tensor> {
-        let images = self.images(parts)?;
         let strided = self.steps.over(images);
         let shape = strided.shape(self.outputs());
         if let Some(residual) = residual
@@ -252,17 +263,9 @@ impl Conv2d {
             return residual.map_or(Ok(y.clone()), |residual| residual + &y);
         }
         let prepared = self.prepared()?;
-        let joined = match prepared.convolution.takes_parts() {
-            true => None,
-            false => Some(joined(parts, images)?),
-        };
-        let parts = match &joined {
-            Some(joined) => &[joined][..],
-            None => parts,
-        };
-        let parts = (parts.iter().map(|part| regular(part))).collect::<Result<Vec<_>>>()?;
-        let hosts = (parts.iter().map(HostTensor::new)).collect::<Result<Vec<_>>>()?;
-        let parts = (hosts.iter())
+        let whole = (parts.iter().map(|part| regular(part))).collect::<Result<Vec<_>>>()?;
+        let hosts = (whole.iter().map(HostTensor::new)).collect::<Result<Vec<_>>>()?;
+        let lying = (hosts.iter())
             .map(|host| {
                 let times = images.height / host.dims()[1].max(1);
                 Ok(Part {
@@ -271,11 +274,15 @@ impl Conv2d {
                 })
             })
             .collect::<Result<Vec<_>>>()?;
+        if !prepared.convolution.takes(&lying) {
+            let joined = joined(parts, images)?;
+            return self.run(images, &[&joined], activation, residual);
+        }
         let residual = residual.map(regular).transpose()?;
         let residual = residual.as_ref().map(HostTensor::new).transpose()?;
         let residual = residual.as_ref().map(Pixels::of).transpose()?;
         let stage = self.stage(prepared, activation, residual);
-        Tensor::from_vec(stage.run(images, &parts)?, shape, &Device::Cpu)
+        Tensor::from_vec(stage.run(images, &lying)?, shape, &Device::Cpu)
     }
 
     fn inputs(&self) -> usize {
@@ -321,9 +328,7 @@ impl Conv2d {
                 bail!("the weights of this convolution are not on the CPU");
             };
             let filter = Filter {
-                values: &folded.weight,
-                outputs: self.outputs(),
-                inputs: self.inputs(),
+                weight: &folded.weight,
                 steps: self.steps,
             };
             let fast = self.precision == Precision::Fast;
@@ -411,16 +416,16 @@ pub fn convolve_in_turn(layers: &[(Conv2d, Activation)], x: &Tensor) -> Result<T
 
 /// `parts` enlarged to the size of `images`, one after the other.
 fn joined(parts: &[&Tensor], images: Images) -> Result<Tensor> {
-    if let [part] = parts {
-        return Ok((*part).clone());
-    }
     let enlarged = (parts.iter())
         .map(|part| match images.height / part.dim(1)?.max(1) {
             0 | 1 => Ok((*part).clone()),
             times => upsample_nearest(part, times),
         })
         .collect::<Result<Vec<_>>>()?;
-    Tensor::cat(&enlarged, 3)
+    match &enlarged[..] {
+        [one] => Ok(one.clone()),
+        several => Tensor::cat(several, 3),
+    }
 }
 
 /// `x` with its pixels at equal distances.

@@ -1,7 +1,5 @@
 //! Weights, bias and the norm that follows.
 
-use std::borrow::Cow;
-
 use candle_core::{Result, Tensor, bail};
 
 use super::BatchNorm2d;
@@ -19,9 +17,9 @@ pub(super) struct Parameters {
 }
 
 /// Parameters with the norm folded in, in the CPU's memory.
-pub(super) struct Folded<'a> {
-    /// As the parameter's.
-    pub(super) weight: Cow<'a, [f32]>,
+pub(super) struct Folded {
+    /// As the parameter's; the same numbers in memory if there is no norm.
+    pub(super) weight: Parameter,
     /// (outputs).
     pub(super) bias: Vec<f32>,
 }
@@ -32,7 +30,7 @@ impl Parameters {
     pub(super) fn new(shape: &[usize], bias: bool, weights: &Weights) -> Result<Self> {
         let bias = bias.then(|| weights.get([shape[0]], "bias"));
         Ok(Self {
-            weight: weights.get(shape, "weight")?,
+            weight: weights.get_stored(shape, "weight")?,
             bias: bias.transpose()?,
             norm: None,
         })
@@ -66,23 +64,24 @@ impl Parameters {
     }
 
     /// If they are on the CPU.
-    pub(super) fn host(&self) -> Option<Folded<'_>> {
-        let weight = self.weight.host()?;
+    pub(super) fn host(&self) -> Option<Folded> {
         let outputs = self.outputs();
         let mut bias = match &self.bias {
             Some(bias) => bias.host()?.to_vec(),
             None => vec![0.0; outputs],
         };
         let Some(norm) = &self.norm else {
+            self.weight.numbers()?;
             return Some(Folded {
-                weight: Cow::Borrowed(weight),
+                weight: self.weight.clone(),
                 bias,
             });
         };
         let (scale, shift) = (norm.weight.host()?, norm.bias.host()?);
         let (mean, variance) = (norm.running_mean.host()?, norm.running_var.host()?);
-        let mut folded = weight.to_vec();
-        let rows = folded.chunks_exact_mut(weight.len() / outputs);
+        let mut folded = self.weight.widened()?.into_owned();
+        let size = folded.len() / outputs;
+        let rows = folded.chunks_exact_mut(size);
         for (i, (row, bias)) in rows.zip(&mut bias).enumerate() {
             let factor = f64::from(scale[i]) / (f64::from(variance[i]) + norm.eps).sqrt();
             for weight in row {
@@ -92,7 +91,7 @@ impl Parameters {
             *bias = (centred * factor + f64::from(shift[i])) as f32;
         }
         Some(Folded {
-            weight: Cow::Owned(folded),
+            weight: Parameter::from_values(self.shape(), folded),
             bias,
         })
     }

@@ -115,6 +115,15 @@ fn images_are_read_where_they_lie() {
         let conv = conv(inputs, outputs, kernel);
         let wide = image((2, 7, 6, inputs + 5));
         let residual = image((2, 7, 6, outputs + 3)).narrow(3, 3, outputs).unwrap();
+        let pixel = image((1, 1, 1, outputs))
+            .broadcast_as((2, 7, 6, outputs))
+            .unwrap();
+        let x = wide.narrow(3, 2, inputs).unwrap();
+        let got = conv.forward_add(&x, &pixel).unwrap();
+        assert!(
+            error(&got, &(pixel + conv.plain(&x).unwrap()).unwrap()) < 3e-6,
+            "{conv:?}"
+        );
         // The channels of pixels, or parts of rows.
         for x in [
             wide.narrow(3, 2, inputs),

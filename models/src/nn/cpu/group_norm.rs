@@ -172,17 +172,22 @@ impl Task for Measure<'_> {
         let pixels = from.len() / channels;
         let mut sums = Scratch::take(2 * channels);
         let (means, squares) = sums.split_at_mut(channels);
-        for c in (0..channels).step_by(S::LANES) {
+        let mut c = 0;
+        while c < channels {
             let count = S::LANES.min(channels - c);
-            // SAFETY: each pixel has `count` channels from here on, as have the sums.
+            // SAFETY: each pixel has these channels, as have the sums.
             unsafe {
                 let column = from.as_ptr().add(c);
-                let (mean, around) = match count == S::LANES {
-                    true => moments::<S, true>(simd, column, pixels, channels, count),
-                    false => moments::<S, false>(simd, column, pixels, channels, count),
+                let to = [&mut *means, &mut *squares].map(|sums| sums.as_mut_ptr().add(c));
+                c += match channels - c {
+                    rest if rest >= SIDE * S::LANES => {
+                        moments::<S, SIDE, true>(simd, column, pixels, channels, count, to)
+                    }
+                    rest if rest >= S::LANES => {
+                        moments::<S, 1, true>(simd, column, pixels, channels, count, to)
+                    }
+                    _ => moments::<S, 1, false>(simd, column, pixels, channels, count, to),
                 };
-                simd.store_up_to(means.as_mut_ptr().add(c), count, mean);
-                simd.store_up_to(squares.as_mut_ptr().add(c), count, around);
             }
         }
         let width = channels / groups;
@@ -200,36 +205,58 @@ impl Task for Measure<'_> {
     }
 }
 
-/// The mean of a vector of channels, and the sum of their squared distances from it.
+/// Vectors of channels that are summed side by side: what of a pixel comes into the first cache together
+/// is used together.
+const SIDE: usize = 4;
+
+/// Writes the means of `W` vectors of channels, and the sums of their squared distances from these; gives
+/// the number of channels.
 ///
 /// # Safety
 ///
-/// `count` numbers, a vector if `WHOLE`, can be read at each of `pixels` pixels.
+/// `count` numbers of each vector, all if `WHOLE`, can be read at each of `pixels` pixels, and written.
 #[inline(always)]
-unsafe fn moments<S: Simd, const WHOLE: bool>(
+unsafe fn moments<S: Simd, const W: usize, const WHOLE: bool>(
     simd: S,
     column: *const f32,
     pixels: usize,
     channels: usize,
     count: usize,
-) -> (S::V, S::V) {
+    [means, squares]: [*mut f32; 2],
+) -> usize {
+    let zeros = [simd.splat(0.0); W];
+    let (mut origins, mut sums, mut around) = (zeros, zeros, zeros);
     // SAFETY: as the caller promises.
-    let at = |pixel: usize| unsafe { simd.load_of::<WHOLE>(column.add(pixel * channels), count) };
-    // Against the first pixel, sums keep the digits that tell numbers apart.
-    let origin = at(0);
-    let mut sums = [simd.splat(0.0); 2];
-    for pixel in 0..pixels {
-        let x = simd.sub(at(pixel), origin);
-        sums[pixel % 2] = simd.add(sums[pixel % 2], x);
+    unsafe {
+        // Against the first pixel, sums keep the digits that tell numbers apart.
+        for (i, origin) in origins.iter_mut().enumerate() {
+            *origin = simd.load_of::<WHOLE>(column.add(i * S::LANES), count);
+        }
+        for pixel in 0..pixels {
+            let from = column.add(pixel * channels);
+            for (i, sum) in sums.iter_mut().enumerate() {
+                let x = simd.load_of::<WHOLE>(from.add(i * S::LANES), count);
+                *sum = simd.add(*sum, simd.sub(x, origins[i]));
+            }
+        }
+        let share = simd.splat(1.0 / pixels as f32);
+        for (sum, &origin) in sums.iter_mut().zip(&origins) {
+            *sum = simd.fma(*sum, share, origin);
+        }
+        for pixel in 0..pixels {
+            let from = column.add(pixel * channels);
+            for (i, squares) in around.iter_mut().enumerate() {
+                let x = simd.load_of::<WHOLE>(from.add(i * S::LANES), count);
+                let distance = simd.sub(x, sums[i]);
+                *squares = simd.fma(distance, distance, *squares);
+            }
+        }
+        for i in 0..W {
+            simd.store_of::<WHOLE>(means.add(i * S::LANES), count, sums[i]);
+            simd.store_of::<WHOLE>(squares.add(i * S::LANES), count, around[i]);
+        }
     }
-    let share = simd.splat(1.0 / pixels as f32);
-    let mean = simd.fma(simd.add(sums[0], sums[1]), share, origin);
-    let mut squares = [simd.splat(0.0); 2];
-    for pixel in 0..pixels {
-        let x = simd.sub(at(pixel), mean);
-        squares[pixel % 2] = simd.fma(x, x, squares[pixel % 2]);
-    }
-    (mean, simd.add(squares[0], squares[1]))
+    if WHOLE { W * S::LANES } else { count }
 }
 
 /// The normalised pixels of a block, activated. `to` has room for as many numbers as `from`.

@@ -2,10 +2,11 @@
 
 use candle_core::{Device, Result, Tensor, bail};
 
-use super::gemm::gemm_into;
+use super::gemm::{gated_into, gemm_into};
 use super::shared::filled;
 use super::{Epilogue, Factor, HostTensor, Isa, Matrix};
 use crate::nn::Activation;
+use crate::weights::Numbers;
 
 /// `activation(x W^T + bias) + residual`; `x` is (.., inputs), `weight` (outputs, inputs), the result
 /// and `residual` (.., outputs). Tensors are f32 on the CPU.
@@ -16,7 +17,7 @@ use crate::nn::Activation;
 pub(in crate::nn) fn linear(
     isa: Isa,
     x: &Tensor,
-    weight: &[f32],
+    weight: Numbers<'_>,
     bias: Option<&[f32]>,
     activation: Activation,
     residual: Option<&Tensor>,
@@ -24,10 +25,8 @@ pub(in crate::nn) fn linear(
     let Some((&inputs, outer)) = x.dims().split_last() else {
         bail!("a number has no channels");
     };
-    if inputs == 0 || !weight.len().is_multiple_of(inputs) {
-        bail!("{} weights for {inputs} channels", weight.len());
-    }
-    let (rows, outputs) = (outer.iter().product(), weight.len() / inputs);
+    let b = factor(weight, inputs)?;
+    let (rows, outputs) = (outer.iter().product(), b.columns());
     let shape = [outer, &[outputs]].concat();
     if let Some(residual) = residual
         && residual.dims() != shape
@@ -43,7 +42,6 @@ pub(in crate::nn) fn linear(
         None => None,
     };
     let a = Matrix::new(x.data()?, rows, inputs, inputs)?;
-    let b = Factor::Transposed(Matrix::new(weight, outputs, inputs, inputs)?);
     let epilogue = Epilogue {
         accumulate: false,
         bias,
@@ -57,4 +55,47 @@ pub(in crate::nn) fn linear(
         })?
     };
     Tensor::from_vec(values, shape, &Device::Cpu)
+}
+
+/// `(x V^T + b) gelu(x G^T + c)`, where `V`, (outputs, inputs), is the first half of `weight` and `G` the
+/// second, `b` and `c` the halves of `bias`; `x` is (.., inputs), the result (.., outputs).
+///
+/// # Errors
+///
+/// If the shapes do not fit each other.
+pub(in crate::nn) fn gated_linear(
+    isa: Isa,
+    x: &Tensor,
+    weight: Numbers<'_>,
+    bias: &[f32],
+) -> Result<Tensor> {
+    let Some((&inputs, outer)) = x.dims().split_last() else {
+        bail!("a number has no channels");
+    };
+    let factor = factor(weight, inputs)?;
+    let (rows, outputs) = (outer.iter().product(), factor.columns() / 2);
+    let x = x.contiguous()?;
+    let x = HostTensor::new(&x)?;
+    let a = Matrix::new(x.data()?, rows, inputs, inputs)?;
+    // SAFETY: the array is rows x outputs, and the product writes all of it.
+    let values = unsafe {
+        filled(rows * outputs, |values| {
+            gated_into(isa, a, factor, bias, values)
+        })?
+    };
+    Tensor::from_vec(values, [outer, &[outputs]].concat(), &Device::Cpu)
+}
+
+/// Weights (outputs, `inputs`) as what is multiplied with.
+fn factor(weight: Numbers<'_>, inputs: usize) -> Result<Factor<'_>> {
+    let count = weight.len();
+    if inputs == 0 || !count.is_multiple_of(inputs) {
+        bail!("{count} weights for {inputs} channels");
+    }
+    let outputs = count / inputs;
+    Ok(match weight {
+        Numbers::F32(w) => Factor::Transposed(Matrix::new(w, outputs, inputs, inputs)?),
+        Numbers::F16(w) => Factor::TransposedF16(Matrix::new(w, outputs, inputs, inputs)?),
+        Numbers::Bf16(w) => Factor::TransposedBf16(Matrix::new(w, outputs, inputs, inputs)?),
+    })
 }

@@ -44,7 +44,7 @@ pub(super) use exchange::{ExchangeInputs, exchange};
 pub(super) use group_norm::GroupNorm;
 pub(super) use host::HostTensor;
 pub(super) use layer_norm::layer_norm;
-pub(super) use linear::linear;
+pub(super) use linear::{gated_linear, linear};
 pub(super) use linear_attention::linear_attention;
 pub(super) use resample::{Taps, max_pool, resize};
 pub(super) use rope::rotate;

@@ -34,17 +34,13 @@ pub(in crate::nn) struct Gathered {
 
 impl Gathered {
     pub(super) fn new(isa: Isa, filter: Filter<'_>) -> Result<Self> {
-        let Filter {
-            outputs,
-            inputs,
-            steps,
-            ..
-        } = filter;
+        let (outputs, inputs, steps) = (filter.outputs(), filter.inputs(), filter.steps);
+        let values = filter.values()?;
         let depth = steps.kernel * steps.kernel * inputs;
         let mut rows = vec![0.0; outputs * depth];
         for (output, row) in rows.chunks_exact_mut(depth.max(1)).enumerate() {
             for input in 0..inputs {
-                for (at, &g) in filter.window(output, input).iter().enumerate() {
+                for (at, &g) in filter.window(&values, output, input).iter().enumerate() {
                     row[at * inputs + input] = g;
                 }
             }
@@ -102,12 +98,13 @@ impl Gathered {
             let product = Scattered {
                 a: &table,
                 pieces: &windows.pieces,
-                b: &self.filter,
+                b: self.filter.packed(),
                 panels: panel..(panel + group).min(panels),
                 c: &c,
                 bias: Some(epilogue.bias),
                 activation: epilogue.activation,
                 then: None,
+                accumulate: false,
                 residual: residual.as_deref(),
             };
             // SAFETY: the table has the pieces of these rows; no other task has the same rows and

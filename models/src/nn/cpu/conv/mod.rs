@@ -26,24 +26,40 @@ pub(in crate::nn) use stage::{Stage, in_turn};
 pub(in crate::nn) use transpose::Transpose;
 use winograd::{Scheme, Winograd};
 
-use candle_core::{Result, bail};
+use std::borrow::Cow;
+
+use candle_core::{Error, Result, bail};
 
 use super::isa::Isa;
+use crate::Parameter;
 
-/// The weights of a convolution, (outputs, inputs, kernel, kernel) row-major.
+/// The weights of a convolution and what they are applied to.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::nn) struct Filter<'a> {
-    pub(in crate::nn) values: &'a [f32],
-    pub(in crate::nn) outputs: usize,
-    pub(in crate::nn) inputs: usize,
+    /// (outputs, inputs, kernel, kernel), on the CPU.
+    pub(in crate::nn) weight: &'a Parameter,
     pub(in crate::nn) steps: Steps,
 }
 
-impl Filter<'_> {
-    /// The weights of one output and one input, row-major.
-    fn window(&self, output: usize, input: usize) -> &[f32] {
+impl<'a> Filter<'a> {
+    fn outputs(&self) -> usize {
+        self.weight.shape()[0]
+    }
+
+    fn inputs(&self) -> usize {
+        self.weight.shape()[1]
+    }
+
+    /// The weights, row-major.
+    fn values(&self) -> Result<Cow<'a, [f32]>> {
+        let values = self.weight.widened();
+        values.ok_or_else(|| Error::msg("the weights of a convolution are not on the CPU"))
+    }
+
+    /// Of all weights, those of one output and one input, row-major.
+    fn window<'v>(&self, values: &'v [f32], output: usize, input: usize) -> &'v [f32] {
         let size = self.steps.kernel * self.steps.kernel;
-        &self.values[(output * self.inputs + input) * size..][..size]
+        &values[(output * self.inputs() + input) * size..][..size]
     }
 }
 
@@ -111,7 +127,7 @@ impl Images {
     }
 }
 
-/// A convolution with its weights laid out for one way of computing it.
+/// A convolution with its weights made ready for one way of computing it.
 pub(in crate::nn) enum Convolution {
     Winograd(Box<Winograd>),
     Gathered(Gathered),
@@ -119,37 +135,37 @@ pub(in crate::nn) enum Convolution {
 }
 
 impl Convolution {
-    /// Lays out `filter`; `fast` allows the larger errors of the larger tiles.
+    /// For `filter`; `fast` allows the larger errors of the larger tiles.
     pub(in crate::nn) fn new(isa: Isa, filter: Filter<'_>, fast: bool) -> Result<Self> {
         // Below, what is saved goes into transforms.
         const CHANNELS_FOR_WINOGRAD: usize = 32;
-        // Above (inputs times outputs), large tiles are slower than small ones where such layers
-        // occur, on small images: reading four times the weights takes longer than multiplying.
-        const WEIGHTS_FOR_LARGE_TILES: usize = 1 << 20;
-        let large = fast && filter.inputs * filter.outputs <= WEIGHTS_FOR_LARGE_TILES;
         let kernel = filter.steps.kernel;
-        let around = filter.steps == Steps::around(kernel, 1);
-        let scheme = match (kernel, large) {
-            _ if !around => None,
-            (3, false) => Some(Scheme::F23),
-            (3, true) => Some(Scheme::F43),
-            (5, false) => Some(Scheme::F25),
-            (5, true) => Some(Scheme::F65),
-            _ => None,
+        let schemes: &[Scheme] = match (kernel, fast) {
+            _ if filter.steps != Steps::around(kernel, 1) => &[],
+            (3, false) => &[Scheme::F23],
+            (3, true) => &[Scheme::F23, Scheme::F43],
+            (5, false) => &[Scheme::F25],
+            (5, true) => &[Scheme::F25, Scheme::F65],
+            _ => &[],
         };
-        let many = filter.inputs.min(filter.outputs) >= CHANNELS_FOR_WINOGRAD;
-        match scheme {
-            Some(scheme) if many => {
-                Winograd::new(isa, filter, scheme).map(|way| Self::Winograd(Box::new(way)))
+        let many = filter.inputs().min(filter.outputs()) >= CHANNELS_FOR_WINOGRAD;
+        match schemes {
+            [_, ..] if many => {
+                let way = Winograd::new(isa, filter, schemes);
+                Ok(Self::Winograd(Box::new(way)))
             }
             _ if Shifted::pays(isa, filter) => Shifted::new(isa, filter).map(Self::Shifted),
             _ => Gathered::new(isa, filter).map(Self::Gathered),
         }
     }
 
-    /// Whether channels may lie in several parts.
-    pub(in crate::nn) fn takes_parts(&self) -> bool {
-        matches!(self, Self::Gathered(_))
+    /// Whether channels may lie in several parts; or, if there is only one, whether it may be enlarged.
+    pub(in crate::nn) fn takes(&self, parts: &[Part<'_>]) -> bool {
+        match (self, parts) {
+            (Self::Gathered(_), _) | (_, [Part { times: 1, .. }]) => true,
+            (Self::Winograd(_), [_]) => true,
+            _ => false,
+        }
     }
 
     /// The convolution of images, whose channels are those of `parts` one after the other, finished by
@@ -157,7 +173,7 @@ impl Convolution {
     ///
     /// # Errors
     ///
-    /// If there are several parts, or one that is enlarged, and this does not take them.
+    /// If this does not [take](Self::takes) the parts.
     ///
     /// # Safety
     ///
@@ -175,9 +191,7 @@ impl Convolution {
         unsafe {
             match (self, parts) {
                 (Self::Gathered(way), parts) => way.run(images, parts, epilogue, out),
-                (Self::Winograd(way), [Part { pixels, times: 1 }]) => {
-                    way.run(images, *pixels, epilogue, out)
-                }
+                (Self::Winograd(way), [part]) => way.run(images, *part, epilogue, out),
                 (Self::Shifted(way), [Part { pixels, times: 1 }]) => {
                     way.run(images, *pixels, epilogue, out)
                 }

@@ -6,7 +6,7 @@ use super::Images;
 use crate::nn::cpu::{HostTensor, Matrix};
 
 /// The pixels of images, row by row, one image after the other. The channels of each lie side by side;
-/// pixels may be further apart than that.
+/// pixels may be further apart than that, or all be the same one.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::nn) struct Pixels<'a> {
     data: &'a [f32],
@@ -123,7 +123,7 @@ impl<'a> Part<'a> {
     }
 }
 
-/// The distance of pixels, if it is the same throughout an image tensor. Where a dimension is 1, its
+/// The distance of pixels, if it is the same throughout an image tensor: 0 if one pixel is broadcast. Where a dimension is 1, its
 /// stride says nothing.
 fn stride(dims: &[usize], strides: &[usize]) -> Option<usize> {
     let &[batch, height, width, channels] = dims else {
@@ -143,7 +143,7 @@ fn stride(dims: &[usize], strides: &[usize]) -> Option<usize> {
     };
     let stride = stride.is_multiple_of(pixels).then(|| stride / pixels)?;
     let regular = told.all(|(_, distance, pixels)| distance == stride * pixels);
-    (regular && stride >= channels).then_some(stride)
+    (regular && (stride == 0 || stride >= channels)).then_some(stride)
 }
 
 #[cfg(test)]
@@ -168,6 +168,11 @@ mod tests {
             Some(6)
         );
         assert_eq!(of(&x.get(0).unwrap()), None);
+        let pixel = x
+            .narrow(0, 0, 1)
+            .and_then(|x| x.narrow(1, 0, 1)?.narrow(2, 0, 1));
+        let same = pixel.unwrap().broadcast_as((2, 3, 4, 6)).unwrap();
+        assert_eq!(of(&same), Some(0));
         let point = x
             .narrow(0, 0, 1)
             .and_then(|x| x.narrow(1, 0, 1)?.narrow(2, 0, 1));

@@ -29,26 +29,22 @@ impl Shifted {
         let (_, columns) = isa.tile();
         let kernel = filter.steps.kernel;
         let window = kernel * kernel;
-        let products = (window * filter.outputs).next_multiple_of(columns);
-        let gathered = window * filter.outputs.next_multiple_of(columns);
+        let products = (window * filter.outputs()).next_multiple_of(columns);
+        let gathered = window * filter.outputs().next_multiple_of(columns);
         // Sums cost about as much as 16 inputs' products.
         kernel > 1
             && filter.steps == Steps::around(kernel, 1)
-            && products * (filter.inputs + 16) < gathered * filter.inputs
+            && products * (filter.inputs() + 16) < gathered * filter.inputs()
     }
 
     pub(super) fn new(isa: Isa, filter: Filter<'_>) -> Result<Self> {
-        let Filter {
-            outputs,
-            inputs,
-            steps: Steps { kernel, .. },
-            ..
-        } = filter;
+        let (outputs, inputs, kernel) = (filter.outputs(), filter.inputs(), filter.steps.kernel);
+        let weights = filter.values()?;
         let columns = kernel * kernel * outputs;
         let mut values = vec![0.0; inputs * columns];
         for (input, row) in values.chunks_exact_mut(columns).enumerate() {
             for output in 0..outputs {
-                for (at, &g) in filter.window(output, input).iter().enumerate() {
+                for (at, &g) in filter.window(&weights, output, input).iter().enumerate() {
                     row[at * outputs + output] = g;
                 }
             }

@@ -18,8 +18,9 @@ impl Way {
         match self {
             Self::Gathered => Gathered::new(isa, filter).map(Convolution::Gathered),
             Self::Shifted => Shifted::new(isa, filter).map(Convolution::Shifted),
-            Self::Winograd(s) => {
-                Winograd::new(isa, filter, s).map(|way| Convolution::Winograd(Box::new(way)))
+            Self::Winograd(scheme) => {
+                let way = Winograd::new(isa, filter, &[scheme]);
+                Ok(Convolution::Winograd(Box::new(way)))
             }
         }
         .unwrap()
@@ -86,13 +87,10 @@ impl Layer {
         }
     }
 
-    fn filter(&self) -> Filter<'_> {
-        Filter {
-            values: &self.weight,
-            outputs: self.outputs,
-            inputs: self.inputs,
-            steps: self.steps,
-        }
+    fn weight(&self) -> Parameter {
+        let kernel = self.steps.kernel;
+        let shape = [self.outputs, self.inputs, kernel, kernel];
+        Parameter::from_values(shape, self.weight.clone())
     }
 
     fn run(&self, way: Way, isa: Isa) -> Vec<f32> {
@@ -105,7 +103,11 @@ impl Layer {
     }
 
     fn run_with(&self, way: Way, isa: Isa, epilogue: Epilogue<'_>) -> Vec<f32> {
-        let convolution = way.prepare(isa, self.filter());
+        let filter = Filter {
+            weight: &self.weight(),
+            steps: self.steps,
+        };
+        let convolution = way.prepare(isa, filter);
         let parts = [Part::new(Pixels::new(&self.x, self.inputs))];
         self.run_parts(&convolution, &parts, epilogue)
     }
@@ -381,10 +383,9 @@ fn results_do_not_depend_on_the_number_of_threads() {
 fn the_way_suits_the_layer() {
     let isa = Isa::available()[0];
     let strided = |inputs, outputs, kernel: usize, stride, fast| {
+        let weights = vec![0.0; inputs * outputs * kernel * kernel];
         let filter = Filter {
-            values: &vec![0.0; inputs * outputs * kernel * kernel],
-            outputs,
-            inputs,
+            weight: &Parameter::from_values([outputs, inputs, kernel, kernel], weights),
             steps: Steps::around(kernel, stride),
         };
         match Convolution::new(isa, filter, fast).unwrap() {

@@ -96,12 +96,13 @@ impl Transpose {
             let product = Scattered {
                 a: &table,
                 pieces: &pieces,
-                b: &self.filters[i],
+                b: self.filters[i].packed(),
                 panels: 0..columns.div_ceil(self.isa.tile().1),
                 c: &c,
                 bias: Some(&self.bias),
                 activation,
                 then: None,
+                accumulate: false,
                 residual: None,
             };
             // SAFETY: the table has these pixels' channels; no other part has these pixels and this

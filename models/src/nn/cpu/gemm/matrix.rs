@@ -3,11 +3,12 @@
 use std::ops::Range;
 
 use candle_core::{Result, bail};
+use half::{bf16, f16};
 
 /// A matrix in row-major order, whose rows may be further apart than they are long.
 #[derive(Clone, Copy, Debug)]
-pub struct Matrix<'a> {
-    data: &'a [f32],
+pub struct Matrix<'a, T = f32> {
+    data: &'a [T],
     rows: usize,
     columns: usize,
     stride: usize,
@@ -29,6 +30,10 @@ pub enum Factor<'a> {
     Plain(Matrix<'a>),
     /// (columns, depth): the transpose is multiplied by. Weights of linear maps are like this.
     Transposed(Matrix<'a>),
+    /// As [`Self::Transposed`], in half precision, which is widened when it is packed.
+    TransposedF16(Matrix<'a, f16>),
+    /// As [`Self::TransposedF16`].
+    TransposedBf16(Matrix<'a, bf16>),
 }
 
 /// Whether `rows` rows of `columns` numbers, `stride` apart, lie within `len` numbers.
@@ -45,13 +50,13 @@ fn check(len: usize, rows: usize, columns: usize, stride: usize) -> Result<()> {
     Ok(())
 }
 
-impl<'a> Matrix<'a> {
+impl<'a, T> Matrix<'a, T> {
     /// A matrix whose element `(i, j)` is `data[i * stride + j]`.
     ///
     /// # Errors
     ///
     /// If `stride` is less than `columns` or `data` too short.
-    pub fn new(data: &'a [f32], rows: usize, columns: usize, stride: usize) -> Result<Self> {
+    pub fn new(data: &'a [T], rows: usize, columns: usize, stride: usize) -> Result<Self> {
         check(data.len(), rows, columns, stride)?;
         Ok(Self {
             data,
@@ -77,7 +82,7 @@ impl<'a> Matrix<'a> {
     }
 
     /// Element `(row, 0)`. It and the following ones can be read if the matrix has that row.
-    pub(super) fn row_pointer(&self, row: usize) -> *const f32 {
+    pub(super) fn row_pointer(&self, row: usize) -> *const T {
         self.data.as_ptr().wrapping_add(row * self.stride)
     }
 
@@ -86,7 +91,7 @@ impl<'a> Matrix<'a> {
     /// # Panics
     ///
     /// If they are not inside.
-    pub(super) fn part_of_row(&self, row: usize, start: usize, count: usize) -> &'a [f32] {
+    pub(super) fn part_of_row(&self, row: usize, start: usize, count: usize) -> &'a [T] {
         &self.data[row * self.stride..][..self.columns][start..start + count]
     }
 
@@ -156,6 +161,8 @@ impl Factor<'_> {
         match self {
             Self::Plain(matrix) => matrix.rows(),
             Self::Transposed(matrix) => matrix.columns(),
+            Self::TransposedF16(matrix) => matrix.columns(),
+            Self::TransposedBf16(matrix) => matrix.columns(),
         }
     }
 
@@ -164,6 +171,8 @@ impl Factor<'_> {
         match self {
             Self::Plain(matrix) => matrix.columns(),
             Self::Transposed(matrix) => matrix.rows(),
+            Self::TransposedF16(matrix) => matrix.rows(),
+            Self::TransposedBf16(matrix) => matrix.rows(),
         }
     }
 }

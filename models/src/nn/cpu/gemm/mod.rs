@@ -11,6 +11,7 @@
 //! [`Simd::tile`]: super::simd::Simd::tile
 
 mod block;
+mod gated;
 mod matrix;
 mod pack;
 mod parallel;
@@ -24,12 +25,13 @@ use super::scratch::Scratch;
 use crate::nn::Activation;
 use block::{Block, Panels};
 
+pub(in crate::nn::cpu) use gated::gated_into;
 pub use matrix::{Factor, Matrix, MatrixMut};
 pub use pack::PackedFactor;
-pub(in crate::nn::cpu) use pack::{pack_lines, pack_rows};
+pub(in crate::nn::cpu) use pack::{Packed, pack_lines, pack_rows};
 pub use parallel::gemm;
 pub(in crate::nn::cpu) use parallel::gemm_into;
-pub(in crate::nn::cpu) use scattered::{Pieces, Scattered, Table};
+pub(in crate::nn::cpu) use scattered::{DEPTH as PIECES_DEPTH, Pieces, Scattered, Table};
 
 /// Depth of a block.
 const DEPTH: usize = 512;

@@ -1,5 +1,7 @@
 //! Copies of matrices in the order in which tiles read them.
 
+use std::ops::Range;
+
 use candle_core::Result;
 
 use super::block::Panels;
@@ -7,7 +9,7 @@ use super::{Factor, Matrix};
 use crate::nn::cpu::Isa;
 use crate::nn::cpu::isa::Task;
 use crate::nn::cpu::scratch::Scratch;
-use crate::nn::cpu::simd::{MAX_LANES, Simd};
+use crate::nn::cpu::simd::{MAX_LANES, Simd, Stored};
 
 /// The second factor of products, packed once for many of them.
 pub struct PackedFactor {
@@ -40,6 +42,16 @@ impl PackedFactor {
         }
     }
 
+    /// As columns that are packed.
+    pub(in crate::nn::cpu) fn packed(&self) -> Packed<'_> {
+        Packed {
+            isa: self.isa,
+            data: &self.data,
+            depth: self.depth,
+            columns: self.columns,
+        }
+    }
+
     /// Rows of the factor.
     pub fn depth(&self) -> usize {
         self.depth
@@ -59,6 +71,24 @@ impl PackedFactor {
     }
 }
 
+/// Columns that are packed into panels somewhere.
+#[derive(Clone, Copy)]
+pub(in crate::nn::cpu) struct Packed<'a> {
+    pub(in crate::nn::cpu) isa: Isa,
+    /// Panels of the tile's columns, one after the other: in each, the columns' numbers of one row
+    /// after those of another.
+    pub(in crate::nn::cpu) data: &'a [f32],
+    /// Rows.
+    pub(in crate::nn::cpu) depth: usize,
+    pub(in crate::nn::cpu) columns: usize,
+}
+
+impl<'a> Packed<'a> {
+    pub(super) fn panels(self) -> Panels<'a> {
+        Panels::new(self.data, self.isa.tile().1, self.depth)
+    }
+}
+
 /// Packs the part of `factor` in these columns and this depth into panels of the tile's columns.
 ///
 /// # Panics
@@ -67,22 +97,17 @@ impl PackedFactor {
 pub(super) fn pack_factor(
     isa: Isa,
     factor: Factor<'_>,
-    columns: std::ops::Range<usize>,
-    depth: std::ops::Range<usize>,
+    columns: Range<usize>,
+    depth: Range<usize>,
     to: &mut [f32],
 ) {
     let (_, nr) = isa.tile();
     assert!(columns.end <= factor.columns() && depth.end <= factor.depth());
     assert!(to.len() >= columns.len().next_multiple_of(nr) * depth.len());
     match factor {
-        Factor::Transposed(matrix) => isa.run(Rows {
-            from: matrix.row_pointer(columns.start).wrapping_add(depth.start),
-            stride: matrix.stride(),
-            rows: columns.len(),
-            depth: depth.len(),
-            width: nr,
-            to,
-        }),
+        Factor::Transposed(matrix) => isa.run(Rows::of(matrix, columns, depth, nr, to)),
+        Factor::TransposedF16(matrix) => isa.run(Rows::of(matrix, columns, depth, nr, to)),
+        Factor::TransposedBf16(matrix) => isa.run(Rows::of(matrix, columns, depth, nr, to)),
         Factor::Plain(matrix) => {
             let panels = to.chunks_exact_mut(nr * depth.len().max(1));
             for (panel, start) in panels.zip(columns.clone().step_by(nr)) {
@@ -102,19 +127,18 @@ pub(super) fn pack_factor(
 ///
 /// If `to` is too short.
 pub(in crate::nn::cpu) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f32]) {
-    isa.run(Rows {
-        from: matrix.row_pointer(0),
-        stride: matrix.stride(),
-        rows: matrix.rows(),
-        depth: matrix.columns(),
+    isa.run(Rows::of(
+        matrix,
+        0..matrix.rows(),
+        0..matrix.columns(),
         width,
         to,
-    });
+    ));
 }
 
 /// Rows of numbers, which can be read, to be packed.
-struct Rows<'a> {
-    from: *const f32,
+struct Rows<'a, T> {
+    from: *const T,
     stride: usize,
     rows: usize,
     depth: usize,
@@ -122,7 +146,27 @@ struct Rows<'a> {
     to: &'a mut [f32],
 }
 
-impl Task for Rows<'_> {
+impl<'a, T> Rows<'a, T> {
+    /// The part of `matrix` in these rows and this depth.
+    fn of(
+        matrix: Matrix<'_, T>,
+        rows: Range<usize>,
+        depth: Range<usize>,
+        width: usize,
+        to: &'a mut [f32],
+    ) -> Self {
+        Self {
+            from: matrix.row_pointer(rows.start).wrapping_add(depth.start),
+            stride: matrix.stride(),
+            rows: rows.len(),
+            depth: depth.len(),
+            width,
+            to,
+        }
+    }
+}
+
+impl<T: Stored> Task for Rows<'_, T> {
     type Output = ();
 
     #[inline(always)]
@@ -145,9 +189,9 @@ impl Task for Rows<'_> {
 ///
 /// `depth` numbers can be read at each row.
 #[inline(always)]
-pub(in crate::nn::cpu) unsafe fn pack_lines<S: Simd>(
+pub(in crate::nn::cpu) unsafe fn pack_lines<S: Simd, T: Stored>(
     simd: S,
-    row: impl Fn(usize) -> *const f32,
+    row: impl Fn(usize) -> *const T,
     rows: usize,
     depth: usize,
     width: usize,
@@ -166,7 +210,7 @@ pub(in crate::nn::cpu) unsafe fn pack_lines<S: Simd>(
                     // SAFETY: the caller lets `depth` numbers be read at the row.
                     let from = unsafe { row(first + across + i).add(start) };
                     // SAFETY: as above.
-                    *line = unsafe { simd.load_up_to(from, count) };
+                    *line = unsafe { T::load_up_to(simd, from, count) };
                 }
                 simd.transpose(&mut block);
                 for (p, &line) in block.iter().enumerate().take(count) {

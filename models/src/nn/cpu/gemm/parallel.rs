@@ -1,5 +1,7 @@
 //! Products on all threads.
 
+use std::ops::Range;
+
 use candle_core::{Result, bail};
 use rayon::prelude::*;
 
@@ -64,6 +66,34 @@ pub(in crate::nn::cpu) unsafe fn gemm_into(
         bail!("{rows} x {depth} times {} x {columns}", b.depth());
     }
     epilogue.check(rows, columns)?;
+    with_packed_rows(isa, a, |start, count, packed| {
+        let product = Product {
+            isa,
+            a: packed,
+            b,
+            // SAFETY: row `start` is one of `C`.
+            c: Shared(unsafe { c.add(start * stride) }),
+            stride,
+            epilogue: Epilogue {
+                residual: epilogue.residual.map(|r| r.rows_from(start, count)),
+                ..*epilogue
+            },
+        };
+        share(isa, count, columns, GROUP, |rows, columns| {
+            product.part(rows, columns);
+        });
+    });
+    Ok(())
+}
+
+/// Packs `a`, as many rows at a time as memory is spent on, on all threads; `then` gets the first row,
+/// how many they are, and their panels.
+pub(super) fn with_packed_rows(
+    isa: Isa,
+    a: Matrix<'_>,
+    mut then: impl FnMut(usize, usize, Panels<'_>),
+) {
+    let (rows, depth) = (a.rows(), a.columns());
     let (mr, _) = isa.tile();
     let most = (PACKED / depth.max(1)).max(ROWS).next_multiple_of(mr);
     let mut packed = Scratch::take(most.min(rows.next_multiple_of(mr)) * depth);
@@ -76,22 +106,39 @@ pub(in crate::nn::cpu) unsafe fn gemm_into(
                 .with_min_len((1 << 15) / (mr * depth) + 1)
                 .for_each(|(i, panel)| pack_rows(isa, part.rows_from(i * mr, mr), mr, panel));
         }
-        let product = Product {
-            isa,
-            a: Panels::new(&packed, mr, depth),
-            b,
-            // SAFETY: row `start` is one of `C`.
-            c: Shared(unsafe { c.add(start * stride) }),
-            stride,
-            rows: count,
-            epilogue: Epilogue {
-                residual: epilogue.residual.map(|r| r.rows_from(start, count)),
-                ..*epilogue
-            },
-        };
-        product.run();
+        then(start, count, Panels::new(&packed, mr, depth));
     }
-    Ok(())
+}
+
+/// Shares a product of `rows` x `columns` among threads: tasks are some rows and some columns, at most
+/// `group` panels, as many as leave each thread several tasks. A thread that is done takes another, so
+/// that one that is interrupted delays nobody.
+pub(super) fn share(
+    isa: Isa,
+    rows: usize,
+    columns: usize,
+    mut group: usize,
+    task: impl Fn(Range<usize>, Range<usize>) + Sync,
+) {
+    let (mr, nr) = isa.tile();
+    let panels = columns.div_ceil(nr);
+    let threads = rayon::current_num_threads();
+    let wanted = if threads == 1 { 1 } else { 6 * threads };
+    let most_down = (rows / ROWS).max(1);
+    while group > 1 && panels.div_ceil(group) * most_down < wanted {
+        group /= 2;
+    }
+    let across = panels.div_ceil(group);
+    let down = wanted.div_ceil(across.max(1)).min(most_down);
+    let size = rows.div_ceil(down).next_multiple_of(mr);
+    let down = rows.div_ceil(size);
+    (0..across * down)
+        .into_par_iter()
+        .with_max_len(1)
+        .for_each(|index| {
+            let (i, j) = (index / across * size, index % across * group * nr);
+            task(i..(i + size).min(rows), j..(j + group * nr).min(columns));
+        });
 }
 
 /// A product with the first factor packed.
@@ -101,40 +148,12 @@ struct Product<'a> {
     b: Factor<'a>,
     c: Shared<f32>,
     stride: usize,
-    rows: usize,
     epilogue: Epilogue<'a>,
 }
 
 impl Product<'_> {
-    /// Shares the product among threads: tasks are some rows and some columns, as many as leave each
-    /// thread several tasks. A thread that is done takes another, so that one that is interrupted delays nobody.
-    fn run(&self) {
-        let (mr, nr) = self.isa.tile();
-        let panels = self.b.columns().div_ceil(nr);
-        let threads = rayon::current_num_threads();
-        let wanted = if threads == 1 { 1 } else { 6 * threads };
-        let most_down = (self.rows / ROWS).max(1);
-        let mut group = GROUP;
-        while group > 1 && panels.div_ceil(group) * most_down < wanted {
-            group /= 2;
-        }
-        let across = panels.div_ceil(group);
-        let down = wanted.div_ceil(across.max(1)).min(most_down);
-        let rows = self.rows.div_ceil(down).next_multiple_of(mr);
-        let down = self.rows.div_ceil(rows);
-        (0..across * down)
-            .into_par_iter()
-            .with_max_len(1)
-            .for_each(|task| {
-                let (i, j) = (task / across * rows, task % across * group * nr);
-                self.part(
-                    i..(i + rows).min(self.rows),
-                    j..(j + group * nr).min(self.b.columns()),
-                );
-            });
-    }
-
-    fn part(&self, rows: std::ops::Range<usize>, columns: std::ops::Range<usize>) {
+    /// What one task does.
+    fn part(&self, rows: Range<usize>, columns: Range<usize>) {
         let (mr, nr) = self.isa.tile();
         let depth = self.b.depth();
         let mut packed = Scratch::take(columns.len().next_multiple_of(nr) * DEPTH.min(depth));

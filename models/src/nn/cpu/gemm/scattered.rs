@@ -2,14 +2,14 @@
 //! go wherever they belong. So convolutions multiply windows of an image without copying them first
 //! (Dukhan 2019, "The indirect convolution algorithm").
 
-use super::PackedFactor;
+use super::Packed;
 use super::block::Finish;
 use crate::nn::Activation;
 use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::simd::{MAX_TILE, Piece, Simd};
 
 /// Depth of a block, at most: a panel of `B` and a tile's rows then stay in the first cache.
-const DEPTH: usize = 320;
+pub(in crate::nn::cpu) const DEPTH: usize = 320;
 
 /// Numbers in a line of a cache.
 const LINE: usize = 16;
@@ -52,6 +52,20 @@ impl Pieces {
         Self { count, blocks }
     }
 
+    /// Of rows of a single piece, of which a part is multiplied: `length` numbers, not too many, from
+    /// `start` on.
+    pub(in crate::nn::cpu) fn part(start: usize, length: usize) -> Self {
+        let piece = Piece {
+            index: 0,
+            start,
+            length,
+        };
+        Self {
+            count: 1,
+            blocks: vec![(0, vec![piece])],
+        }
+    }
+
     /// How many pieces a row has.
     pub(in crate::nn::cpu) fn count(&self) -> usize {
         self.count
@@ -90,6 +104,12 @@ impl Table {
     }
 }
 
+// SAFETY: its pointers are only numbers; reading through them is unsafe, and whoever does it sees to it
+// that it is allowed.
+unsafe impl Send for Table {}
+// SAFETY: as above.
+unsafe impl Sync for Table {}
+
 impl Table {
     /// Brings a tile's rows, from `row` on, as far as there are any, into the caches.
     #[inline(always)]
@@ -112,7 +132,7 @@ impl Table {
 pub(in crate::nn::cpu) struct Scattered<'a> {
     pub(in crate::nn::cpu) a: &'a Table,
     pub(in crate::nn::cpu) pieces: &'a Pieces,
-    pub(in crate::nn::cpu) b: &'a PackedFactor,
+    pub(in crate::nn::cpu) b: Packed<'a>,
     /// Panels of `B` to multiply with.
     pub(in crate::nn::cpu) panels: std::ops::Range<usize>,
     /// Where the first column of each row of `C` goes, if it is among the panels' columns.
@@ -120,7 +140,9 @@ pub(in crate::nn::cpu) struct Scattered<'a> {
     pub(in crate::nn::cpu) bias: Option<&'a [f32]>,
     pub(in crate::nn::cpu) activation: Activation,
     /// What is multiplied with the same panels next, to be brought nearer meanwhile.
-    pub(in crate::nn::cpu) then: Option<&'a PackedFactor>,
+    pub(in crate::nn::cpu) then: Option<Packed<'a>>,
+    /// Whether the product is added to what `C` holds.
+    pub(in crate::nn::cpu) accumulate: bool,
     /// Where the rows that are added last begin; as many.
     pub(in crate::nn::cpu) residual: Option<&'a [*const f32]>,
 }
@@ -134,7 +156,7 @@ impl Scattered<'_> {
     /// which together are the depth of `B`. Rows of `C` can be written, and the residual read, in the
     /// columns of the panels, and nobody else does. The bias has all columns of `B`.
     pub(in crate::nn::cpu) unsafe fn run(self) {
-        self.b.isa().run(self);
+        self.b.isa.run(self);
     }
 }
 
@@ -151,7 +173,7 @@ impl Task for Scattered<'_> {
             let finish = Finish {
                 bias: self.bias,
                 activation: self.activation,
-                first: i == 0,
+                first: i == 0 && !self.accumulate,
                 last: i == last,
             };
             let b = self.b.panels().at_depth(*depth);
@@ -160,7 +182,7 @@ impl Task for Scattered<'_> {
             let groups = self.c.len().div_ceil(S::MR);
             for panel in self.panels.clone() {
                 let column = panel * S::NR;
-                let columns = (self.b.columns() - column).min(S::NR);
+                let columns = (self.b.columns - column).min(S::NR);
                 let next = panel + 1;
                 let following = match next < self.panels.end {
                     true => Some(b.skip(next).as_ptr()),

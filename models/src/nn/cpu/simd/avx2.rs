@@ -1,17 +1,19 @@
-//! AVX2 with FMA: 16 registers of 8 numbers.
+//! AVX2 with FMA and F16C: 16 registers of 8 numbers.
 
 use core::arch::x86_64::*;
 
+use half::{bf16, f16};
+
 use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
-/// Proof that the CPU has AVX2 and FMA.
+/// Proof that the CPU has AVX2, FMA and F16C.
 #[derive(Clone, Copy)]
 pub(in crate::nn::cpu) struct Avx2(());
 
 impl Avx2 {
     /// # Safety
     ///
-    /// The CPU has AVX2 and FMA.
+    /// The CPU has AVX2, FMA and F16C.
     #[inline(always)]
     pub(in crate::nn::cpu) unsafe fn assume() -> Self {
         Self(())
@@ -127,6 +129,22 @@ impl Simd for Avx2 {
     unsafe fn load_part(self, from: *const f32, count: usize) -> V {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm256_maskload_ps(from, first(count)) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_f16(self, from: *const f16) -> V {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe { _mm256_cvtph_ps(_mm_loadu_si128(from.cast())) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_bf16(self, from: *const bf16) -> V {
+        // They are the upper halves of numbers of f32.
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            let halves = _mm256_cvtepu16_epi32(_mm_loadu_si128(from.cast()));
+            _mm256_castsi256_ps(_mm256_slli_epi32::<16>(halves))
+        }
     }
 
     #[inline(always)]

@@ -2,6 +2,8 @@
 
 use core::arch::x86_64::*;
 
+use half::{bf16, f16};
+
 use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
 /// Proof that the CPU has AVX-512 F and DQ.
@@ -102,6 +104,22 @@ impl Simd for Avx512 {
     unsafe fn load_part(self, from: *const f32, count: usize) -> V {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe { _mm512_maskz_loadu_ps(first(count), from) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_f16(self, from: *const f16) -> V {
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe { _mm512_cvtph_ps(_mm256_loadu_si256(from.cast())) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_bf16(self, from: *const bf16) -> V {
+        // They are the upper halves of numbers of f32.
+        // SAFETY: `self` is proof of the instructions; memory as the caller promises.
+        unsafe {
+            let halves = _mm512_cvtepu16_epi32(_mm256_loadu_si256(from.cast()));
+            _mm512_castsi512_ps(_mm512_slli_epi32::<16>(halves))
+        }
     }
 
     #[inline(always)]

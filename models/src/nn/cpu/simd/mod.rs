@@ -3,6 +3,8 @@
 //! Values of the implementing types are proofs that the CPU has the instructions. That is what makes
 //! arithmetic safe to call; only what takes a pointer is not.
 
+use half::{bf16, f16};
+
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
@@ -28,6 +30,65 @@ pub(super) struct Piece {
     /// Numbers of the piece before this part.
     pub(super) start: usize,
     pub(super) length: usize,
+}
+
+/// How numbers lie in memory that become vectors of f32.
+pub(in crate::nn::cpu) trait Stored:
+    Copy + Default + Send + Sync + 'static
+{
+    /// # Safety
+    ///
+    /// [`Simd::LANES`] numbers can be read at `from`.
+    unsafe fn load<S: Simd>(simd: S, from: *const Self) -> S::V;
+
+    /// The first `count` lanes, zeros in the others.
+    ///
+    /// # Safety
+    ///
+    /// `count` numbers, at most [`Simd::LANES`], can be read at `from`.
+    #[inline(always)]
+    unsafe fn load_up_to<S: Simd>(simd: S, from: *const Self, count: usize) -> S::V {
+        if count == S::LANES {
+            // SAFETY: as said.
+            return unsafe { Self::load(simd, from) };
+        }
+        let mut copy = [Self::default(); MAX_LANES];
+        // SAFETY: as said; the copy has room for all lanes.
+        unsafe {
+            std::ptr::copy_nonoverlapping(from, copy.as_mut_ptr(), count);
+            Self::load(simd, copy.as_ptr())
+        }
+    }
+}
+
+impl Stored for f32 {
+    #[inline(always)]
+    unsafe fn load<S: Simd>(simd: S, from: *const Self) -> S::V {
+        // SAFETY: as the caller promises.
+        unsafe { simd.load(from) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_up_to<S: Simd>(simd: S, from: *const Self, count: usize) -> S::V {
+        // SAFETY: as the caller promises.
+        unsafe { simd.load_up_to(from, count) }
+    }
+}
+
+impl Stored for f16 {
+    #[inline(always)]
+    unsafe fn load<S: Simd>(simd: S, from: *const Self) -> S::V {
+        // SAFETY: as the caller promises.
+        unsafe { simd.load_f16(from) }
+    }
+}
+
+impl Stored for bf16 {
+    #[inline(always)]
+    unsafe fn load<S: Simd>(simd: S, from: *const Self) -> S::V {
+        // SAFETY: as the caller promises.
+        unsafe { simd.load_bf16(from) }
+    }
 }
 
 /// One instruction set's vectors.
@@ -80,6 +141,18 @@ pub(super) trait Simd: Copy {
     ///
     /// `count` numbers can be read at `from`.
     unsafe fn load_part(self, from: *const f32, count: usize) -> Self::V;
+    /// Numbers of half precision, widened.
+    ///
+    /// # Safety
+    ///
+    /// [`Self::LANES`] numbers can be read at `from`.
+    unsafe fn load_f16(self, from: *const f16) -> Self::V;
+    /// Numbers of half precision, widened.
+    ///
+    /// # Safety
+    ///
+    /// [`Self::LANES`] numbers can be read at `from`.
+    unsafe fn load_bf16(self, from: *const bf16) -> Self::V;
     /// # Safety
     ///
     /// [`Self::LANES`] numbers can be written at `to`.

@@ -2,6 +2,8 @@
 
 use std::array::from_fn;
 
+use half::{bf16, f16};
+
 use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
 /// Plain Rust.
@@ -132,6 +134,18 @@ impl Simd for Portable {
                 0.0
             }
         })
+    }
+
+    #[inline(always)]
+    unsafe fn load_f16(self, from: *const f16) -> V {
+        // SAFETY: as the caller promises.
+        from_fn(|i| unsafe { *from.add(i) }.to_f32())
+    }
+
+    #[inline(always)]
+    unsafe fn load_bf16(self, from: *const bf16) -> V {
+        // SAFETY: as the caller promises.
+        from_fn(|i| unsafe { *from.add(i) }.to_f32())
     }
 
     #[inline(always)]

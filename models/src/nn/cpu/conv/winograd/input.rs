@@ -2,15 +2,16 @@
 
 use super::output::Tile;
 use super::transform::Transform;
-use crate::nn::cpu::conv::{Images, Pixels};
+use crate::nn::cpu::conv::{Images, Part};
 use crate::nn::cpu::isa::{Isa, Task};
+use crate::nn::cpu::shared::Shared;
 use crate::nn::cpu::simd::Simd;
 
 /// Images to transform.
 pub(super) struct Data<'a> {
     transform: &'a Transform,
     images: Images,
-    x: Pixels<'a>,
+    x: Part<'a>,
     padding: usize,
     /// A pixel outside of the image.
     zeros: Vec<f32>,
@@ -21,7 +22,7 @@ impl<'a> Data<'a> {
     pub(super) fn new(
         transform: &'a Transform,
         images: Images,
-        x: Pixels<'a>,
+        x: Part<'a>,
         padding: usize,
     ) -> Self {
         Self {
@@ -29,18 +30,22 @@ impl<'a> Data<'a> {
             images,
             x,
             padding,
-            zeros: vec![0.0; x.channels()],
+            zeros: vec![0.0; x.pixels.channels()],
         }
     }
 
     /// Transforms the `N` x `N` data of each of `tiles` into `to`: for each point, `plane` numbers apart,
     /// the channels of tile after tile.
-    pub(super) fn transform<const N: usize>(
+    ///
+    /// # Safety
+    ///
+    /// All that can be written, and nobody else does.
+    pub(super) unsafe fn transform<const N: usize>(
         &self,
         isa: Isa,
         tiles: &[Tile],
         plane: usize,
-        to: &mut [f32],
+        to: Shared<f32>,
     ) {
         isa.run(Forward::<N> {
             data: self,
@@ -59,11 +64,12 @@ impl<'a> Data<'a> {
             if y >= height {
                 continue;
             }
-            let row_start = (tile.image * height + y) * width;
+            let Part { pixels, times } = self.x;
+            let row_start = (tile.image * height + y) / times * (width / times);
             for (j, pixel) in row.iter_mut().enumerate() {
                 let x = (tile.left + j).wrapping_sub(self.padding);
                 if x < width {
-                    *pixel = self.x.pixel(row_start + x);
+                    *pixel = pixels.pixel(row_start + x / times);
                 }
             }
         }
@@ -75,7 +81,7 @@ struct Forward<'a, const N: usize> {
     data: &'a Data<'a>,
     tiles: &'a [Tile],
     plane: usize,
-    to: &'a mut [f32],
+    to: Shared<f32>,
 }
 
 impl<const N: usize> Task for Forward<'_, N> {
@@ -83,16 +89,15 @@ impl<const N: usize> Task for Forward<'_, N> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let (plane, channels) = (self.plane, self.data.x.channels());
+        let (plane, channels) = (self.plane, self.data.x.pixels.channels());
         let transform = self.data.transform;
         for (t, &tile) in self.tiles.iter().enumerate() {
             let window = self.data.window::<N>(tile);
-            let to = &mut self.to[t * channels..];
-            assert!(to.len() >= (N * N - 1) * plane + channels);
-            let to = to.as_mut_ptr();
+            let to = self.to.add(t * channels);
             let whole = channels - channels % S::LANES;
             for c in (0..whole).step_by(S::LANES) {
-                // SAFETY: pixels have `channels` numbers, and planes as many for each tile.
+                // SAFETY: pixels have `channels` numbers, and planes as many for each tile, which are
+                // for this to write.
                 unsafe {
                     block::<S, N, true>(simd, transform, &window, to.add(c), plane, c, S::LANES);
                 }

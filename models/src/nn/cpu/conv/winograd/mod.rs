@@ -3,83 +3,81 @@
 //! The image is cut into tiles of `m` x `m` outputs. The `n` x `n` data of a tile are transformed,
 //! multiplied with the transformed filters (a product of matrices for each of the `n^2` points, tiles
 //! x inputs x outputs), and transformed back. F(6x6, 5x5) multiplies 100 times where the definition
-//! multiplies 900 times, F(4x4, 3x3) 36 times for 144. The filters take `n^2 / k^2` times their
-//! memory.
+//! multiplies 900 times, F(4x4, 3x3) 36 times for 144.
 //!
-//! Tiles are processed in groups, each by one thread: it transforms the data, and for some outputs at a
-//! time multiplies and transforms back, so that products stay in the second cache. The whole
-//! transformed image never exists.
+//! As many tiles as leave their transformed data in the last level of cache are processed at a time.
+//! A task is some outputs of all these: it transforms their filters, part by part, multiplies with each
+//! part, and transforms back. So neither the whole transformed image nor all transformed filters,
+//! which are `n^2 / k^2` times as large as the weights, ever exist, and there is nothing to lay out
+//! beforehand.
 
+mod filter;
 mod input;
 mod output;
 mod points;
 mod transform;
 
-use candle_core::Result;
+use std::ops::Range;
+
+use candle_core::{Result, bail};
 use rayon::prelude::*;
 
 pub(super) use points::Scheme;
 
-use super::{Epilogue, Filter, Images, Pixels};
+use super::{Epilogue, Filter, Images, Part};
 use crate::nn::Activation;
-use crate::nn::cpu::gemm::{Factor, Matrix, PackedFactor, Pieces, Scattered, Table};
+use crate::nn::cpu::gemm::{PIECES_DEPTH, Packed, Pieces, Scattered, Table};
 use crate::nn::cpu::isa::Isa;
 use crate::nn::cpu::scratch::Scratch;
 use crate::nn::cpu::shared::Shared;
+use crate::nn::cpu::simd::Stored;
+use crate::weights::{Numbers, Parameter};
+use filter::Filters;
 use input::Data;
 use output::{Outputs, Tile};
 use transform::Transform;
 
-/// Tiles of a group, about. The more, the less often the filters are read, from the last level of cache
-/// if they fit there.
-const TILES: usize = 96;
-/// Outputs whose products exist at a time, a multiple of all tiles' columns.
+/// Numbers of transformed data that exist at a time, about: 12 MiB.
+const DATA: usize = 3 << 20;
+/// Tiles of a task, at most.
+const TILES: usize = 256;
+/// Outputs of a task, at most; a multiple of all tiles' columns. The more, the less often transformed
+/// data are read; the fewer, the smaller are transformed filters.
 const OUTPUTS: usize = 64;
+/// Tasks for each thread, at least, where there are so many.
+const TASKS: usize = 4;
 /// Numbers between two points' matrices, beside their size: without, the same place in all of them
 /// would often fall into the same set of a cache.
 const GAP: usize = 16;
 
-/// A convolution with transformed filters.
+/// A convolution of stride 1 by transforms.
 pub(in crate::nn) struct Winograd {
     isa: Isa,
-    scheme: Scheme,
-    transform: Transform,
-    inputs: usize,
-    outputs: usize,
-    /// (inputs x outputs) for each point, row-major over the two axes.
-    filters: Vec<PackedFactor>,
+    /// (outputs, inputs, kernel, kernel).
+    weight: Parameter,
+    /// From the smallest tiles to the largest.
+    schemes: Vec<(Scheme, Transform)>,
 }
 
 impl Winograd {
-    /// Transforms `filter`, whose kernel is that of `scheme`.
-    pub(super) fn new(isa: Isa, filter: Filter<'_>, scheme: Scheme) -> Result<Self> {
-        let (n, k) = (scheme.products(), filter.steps.kernel);
-        let matrix = scheme.of_filter();
-        let at = |point: usize| -> Result<PackedFactor> {
-            let (down, right) = (&matrix[point / n], &matrix[point % n]);
-            let both: Vec<f64> = (down.iter())
-                .flat_map(|a| right.iter().map(move |b| a * b))
-                .collect();
-            debug_assert_eq!(both.len(), k * k);
-            let mut values = vec![0.0; filter.inputs * filter.outputs];
-            for output in 0..filter.outputs {
-                for input in 0..filter.inputs {
-                    let window = filter.window(output, input).iter();
-                    let sum: f64 = window.zip(&both).map(|(&g, c)| f64::from(g) * c).sum();
-                    values[input * filter.outputs + output] = sum as f32;
-                }
-            }
-            let matrix = Matrix::new(&values, filter.inputs, filter.outputs, filter.outputs)?;
-            Ok(PackedFactor::pack_for(isa, Factor::Plain(matrix)))
-        };
-        Ok(Self {
+    /// Of `filter`, whose kernel is that of all `schemes`, from the smallest tiles to the largest.
+    pub(super) fn new(isa: Isa, filter: Filter<'_>, schemes: &[Scheme]) -> Self {
+        let transforms = schemes
+            .iter()
+            .map(|&scheme| (scheme, Transform::new(scheme)));
+        Self {
             isa,
-            scheme,
-            transform: Transform::new(scheme),
-            inputs: filter.inputs,
-            outputs: filter.outputs,
-            filters: (0..n * n).into_par_iter().map(at).collect::<Result<_>>()?,
-        })
+            weight: filter.weight.clone(),
+            schemes: transforms.collect(),
+        }
+    }
+
+    fn outputs(&self) -> usize {
+        self.weight.shape()[0]
+    }
+
+    fn inputs(&self) -> usize {
+        self.weight.shape()[1]
     }
 
     /// See [`super::Convolution::run`].
@@ -90,141 +88,250 @@ impl Winograd {
     pub(super) unsafe fn run(
         &self,
         images: Images,
-        x: Pixels<'_>,
+        x: Part<'_>,
         epilogue: Epilogue<'_>,
         out: *mut f32,
     ) -> Result<()> {
+        let Some(numbers) = self.weight.numbers() else {
+            bail!("the weights of this convolution are not on the CPU");
+        };
         // SAFETY: as the caller promises.
         unsafe {
-            match (self.scheme.products(), self.scheme.outputs) {
-                (4, 2) => self.run_sized::<4, 2>(images, x, epilogue, out),
-                (6, 2) => self.run_sized::<6, 2>(images, x, epilogue, out),
-                (6, 4) => self.run_sized::<6, 4>(images, x, epilogue, out),
-                (10, 6) => self.run_sized::<10, 6>(images, x, epilogue, out),
-                sizes => unreachable!("no scheme has these sizes: {sizes:?}"),
+            match numbers {
+                Numbers::F32(weights) => self.run_of(weights, images, x, epilogue, out),
+                Numbers::F16(weights) => self.run_of(weights, images, x, epilogue, out),
+                Numbers::Bf16(weights) => self.run_of(weights, images, x, epilogue, out),
             }
         }
     }
 
-    /// For `N` data and `M` outputs of an axis.
+    /// With weights that are stored like this.
     ///
     /// # Safety
     ///
     /// As for [`Self::run`].
-    unsafe fn run_sized<const N: usize, const M: usize>(
+    unsafe fn run_of<T: Stored>(
         &self,
+        weights: &[T],
         images: Images,
-        x: Pixels<'_>,
+        x: Part<'_>,
         epilogue: Epilogue<'_>,
         out: *mut f32,
     ) -> Result<()> {
-        let data = Data::new(&self.transform, images, x, self.scheme.taps / 2);
-        let tiles = Tile::count(images, M);
-        let size = self.group_size(tiles);
-        let out = Shared(out);
-        (0..tiles.div_ceil(size)).into_par_iter().for_each(|i| {
-            let (first, last) = (i * size, ((i + 1) * size).min(tiles));
-            let group = (first..last).map(|index| Tile::at(images, M, index));
-            let group = Group {
-                layer: self,
-                images,
-                tiles: group.collect(),
-                plane: size * self.inputs + GAP,
-            };
-            let mut transformed = Scratch::take(N * N * group.plane);
-            data.transform::<N>(self.isa, &group.tiles, group.plane, &mut transformed);
-            // SAFETY: each tile is in one group; and the caller's promises.
-            unsafe { group.multiply::<N, M>(&transformed, epilogue, out) };
-        });
+        let (scheme, transform) = self.scheme(images, x.times);
+        let layer = Layer {
+            isa: self.isa,
+            filters: Filters {
+                transform,
+                weights,
+                inputs: self.inputs(),
+            },
+            outputs: self.outputs(),
+            padding: scheme.taps / 2,
+            skipped: (*scheme == Scheme::F23 && x.times == 2).then_some(F23_DOUBLED),
+            images,
+            epilogue,
+            out: Shared(out),
+        };
+        // SAFETY: as the caller promises.
+        unsafe {
+            match (scheme.products(), scheme.outputs) {
+                (4, 2) => layer.run::<4, 2, 3, 9>(x),
+                (6, 4) => layer.run::<6, 4, 3, 9>(x),
+                (6, 2) => layer.run::<6, 2, 5, 25>(x),
+                (10, 6) => layer.run::<10, 6, 5, 25>(x),
+                sizes => unreachable!("no scheme has these sizes: {sizes:?}"),
+            }
+        }
         Ok(())
     }
 
-    /// How many of `tiles` to take at a time.
-    fn group_size(&self, tiles: usize) -> usize {
-        let (rows, _) = self.isa.tile();
-        // No thread is without a group.
-        let shared = tiles.div_ceil(rayon::current_num_threads());
-        TILES.min(shared).next_multiple_of(rows)
+    /// The scheme that takes the least time for images of this size, whatever their number, so that an
+    /// image's result does not depend on it.
+    fn scheme(&self, images: Images, times: usize) -> &(Scheme, Transform) {
+        // Transforming filters takes as long as multiplying so many tiles.
+        const FILTERS: usize = 5;
+        let one = Images { batch: 1, ..images };
+        let cost = |(scheme, _): &&(Scheme, Transform)| {
+            let n = scheme.products();
+            let points = match *scheme == Scheme::F23 && times == 2 {
+                true => (n - 1) * (n - 1),
+                false => n * n,
+            };
+            points * (Tile::count(one, scheme.outputs) + FILTERS)
+        };
+        let best = self.schemes.iter().min_by_key(cost);
+        best.unwrap_or(&self.schemes[0])
     }
 }
 
-/// Tiles that are processed together.
-struct Group<'a> {
-    layer: &'a Winograd,
+/// Of F(2, 3), the point where the data of an axis vanish if pixels are doubled: of four neighbours
+/// `a b b c`, it is the difference of the two in the middle.
+const F23_DOUBLED: usize = 2;
+
+/// What is to be done.
+struct Layer<'a, T> {
+    isa: Isa,
+    filters: Filters<'a, T>,
+    outputs: usize,
+    /// Zeros on each side of an image.
+    padding: usize,
+    /// A point of each axis where all data are zero.
+    skipped: Option<usize>,
     images: Images,
-    tiles: Vec<Tile>,
-    /// From one point's data to the next.
-    plane: usize,
+    epilogue: Epilogue<'a>,
+    out: Shared<f32>,
 }
 
-impl Group<'_> {
-    /// The group's outputs, from its transformed data.
+impl<T: Stored> Layer<'_, T> {
+    /// For `N` data, `M` outputs and `K` taps of an axis, `TAPS` in all.
     ///
     /// # Safety
     ///
-    /// As for [`Winograd::run`], for the pixels of these tiles.
-    unsafe fn multiply<const N: usize, const M: usize>(
+    /// As for [`Winograd::run`].
+    unsafe fn run<const N: usize, const M: usize, const K: usize, const TAPS: usize>(
         &self,
-        transformed: &[f32],
-        epilogue: Epilogue<'_>,
-        out: Shared<f32>,
+        x: Part<'_>,
     ) {
-        let Winograd {
-            isa,
-            inputs,
-            outputs,
-            ..
-        } = *self.layer;
-        let rows = self.tiles.len();
-        let pieces = Pieces::new([inputs]);
-        let tables: Vec<Table> = (transformed.chunks_exact(self.plane))
+        let inputs = self.filters.inputs;
+        let data = Data::new(self.filters.transform, self.images, x, self.padding);
+        let all = Tile::count(self.images, M);
+        let threads = rayon::current_num_threads();
+        let (rows, columns) = self.isa.tile();
+        // Parts of about equal size.
+        let share = |all: usize, most: usize| all.div_ceil(all.div_ceil(most.max(1)).max(1));
+        let size = share(all, DATA / (N * N * inputs)).next_multiple_of(rows);
+        let plane = size * inputs + GAP;
+        let mut transformed = Scratch::take(N * N * plane);
+        for first in (0..all).step_by(size) {
+            let tiles: Vec<Tile> = (first..(first + size).min(all))
+                .map(|index| Tile::at(self.images, M, index))
+                .collect();
+            let to = Shared(transformed.as_mut_ptr());
+            let some = share(tiles.len(), tiles.len() / (TASKS * threads));
+            (tiles.par_chunks(some).enumerate()).for_each(|(i, tiles)| {
+                let to = Shared(to.add(i * some * inputs));
+                // SAFETY: all points have room for all tiles, each of which is in one part.
+                unsafe { data.transform::<N>(self.isa, tiles, plane, to) };
+            });
+            let down = share(tiles.len(), TILES).next_multiple_of(rows);
+            let groups: Vec<Group> = (tiles.chunks(down).enumerate())
+                .map(|(i, tiles)| Group {
+                    tiles,
+                    data: self.tables(&transformed, plane, i * down, tiles.len()),
+                })
+                .collect();
+            let wanted = if threads == 1 { 1 } else { TASKS * threads };
+            let across = (wanted.div_ceil(groups.len())).max(self.outputs.div_ceil(OUTPUTS));
+            let across = self.outputs.div_ceil(across).next_multiple_of(columns);
+            let blocks = self.outputs.div_ceil(across);
+            (0..blocks * groups.len())
+                .into_par_iter()
+                .with_max_len(1)
+                .for_each(|task| {
+                    let (block, group) = (task / groups.len(), &groups[task % groups.len()]);
+                    let outputs = block * across..((block + 1) * across).min(self.outputs);
+                    // SAFETY: each output of each tile is in one task; and the caller's promises.
+                    unsafe { self.multiply::<N, M, K, TAPS>(group, outputs) };
+                });
+        }
+    }
+
+    /// For each point, where the data of `count` tiles from `first` on are.
+    fn tables(&self, transformed: &[f32], plane: usize, first: usize, count: usize) -> Vec<Table> {
+        (transformed.chunks_exact(plane))
             .map(|data| {
-                let mut table = Table::new(isa, 1, rows, data.as_ptr());
-                for (row, data) in data.chunks_exact(inputs).take(rows).enumerate() {
+                let mut table = Table::new(self.isa, 1, count, data.as_ptr());
+                let tiles = data.chunks_exact(self.filters.inputs).skip(first);
+                for (row, data) in tiles.take(count).enumerate() {
                     table.set(row, 0, data.as_ptr());
                 }
                 table
             })
-            .collect();
+            .collect()
+    }
+
+    /// Some outputs of a group of tiles.
+    ///
+    /// # Safety
+    ///
+    /// As for [`Winograd::run`], for these channels of the pixels of these tiles. The group's data are
+    /// there.
+    unsafe fn multiply<const N: usize, const M: usize, const K: usize, const TAPS: usize>(
+        &self,
+        group: &Group<'_>,
+        outputs: Range<usize>,
+    ) {
+        let (isa, all) = (self.isa, self.filters.inputs);
         let (_, nr) = isa.tile();
-        let plane = rows * OUTPUTS + GAP;
-        let mut products = Scratch::take(N * N * plane);
-        for first in (0..outputs).step_by(OUTPUTS) {
-            let count = OUTPUTS.min(outputs - first);
-            let filters = &self.layer.filters;
-            for (point, (products, table)) in
-                products.chunks_exact_mut(plane).zip(&tables).enumerate()
-            {
-                let start = products.as_mut_ptr().wrapping_sub(first);
-                let row = |i: usize| start.wrapping_add(i * OUTPUTS);
-                let c: Vec<*mut f32> = (0..rows).map(row).collect();
+        let (rows, columns) = (group.tiles.len(), outputs.len().next_multiple_of(nr));
+        let parts = all.div_ceil(PIECES_DEPTH);
+        let plane = rows * columns + GAP;
+        let filters_plane = all.div_ceil(parts) * columns + GAP;
+        let sizes = [N * N * plane, N * N * filters_plane];
+        let mut scratch = Scratch::take_parts(sizes);
+        let [products, filters] = scratch.parts(sizes);
+        let skipped = |point: usize| {
+            let on = |axis: usize| self.skipped == Some(axis);
+            on(point / N) || on(point % N)
+        };
+        for point in (0..N * N).filter(|&point| skipped(point)) {
+            products[point * plane..][..plane].fill(0.0);
+        }
+        for part in 0..parts {
+            let inputs = all * part / parts..all * (part + 1) / parts;
+            self.filters.transform::<N, K, TAPS>(
+                isa,
+                outputs.clone(),
+                inputs.clone(),
+                filters_plane,
+                filters,
+            );
+            let pieces = Pieces::part(inputs.start, inputs.len());
+            let packed = |point: usize| Packed {
+                isa,
+                data: &filters[point * filters_plane..],
+                depth: inputs.len(),
+                columns: outputs.len(),
+            };
+            for point in (0..N * N).filter(|&point| !skipped(point)) {
+                let start = products[point * plane..].as_mut_ptr();
+                let c: Vec<*mut f32> = (0..rows).map(|i| start.wrapping_add(i * columns)).collect();
                 let product = Scattered {
-                    a: table,
+                    a: &group.data[point],
                     pieces: &pieces,
-                    b: &filters[point],
-                    panels: first / nr..(first + count).div_ceil(nr),
+                    b: packed(point),
+                    panels: 0..columns / nr,
                     c: &c,
                     bias: None,
                     activation: Activation::Identity,
-                    then: filters.get(point + 1),
+                    then: (point + 1 < N * N).then(|| packed(point + 1)),
+                    accumulate: part > 0,
                     residual: None,
                 };
                 // SAFETY: each tile has the inputs at each point, and room for these outputs.
                 unsafe { product.run() };
             }
-            let back = Outputs {
-                transform: &self.layer.transform,
-                products: &products,
-                plane,
-                row: OUTPUTS,
-                first,
-                count,
-                images: self.images,
-                epilogue,
-                out,
-            };
-            // SAFETY: as the caller promises.
-            unsafe { back.transform::<N, M>(isa, &self.tiles) };
         }
+        let back = Outputs {
+            transform: self.filters.transform,
+            products,
+            plane,
+            row: columns,
+            first: outputs.start,
+            count: outputs.len(),
+            images: self.images,
+            epilogue: self.epilogue,
+            out: self.out,
+        };
+        // SAFETY: as the caller promises.
+        unsafe { back.transform::<N, M>(isa, group.tiles) };
     }
+}
+
+/// Tiles that are processed together.
+struct Group<'a> {
+    tiles: &'a [Tile],
+    /// For each point, their data.
+    data: Vec<Table>,
 }

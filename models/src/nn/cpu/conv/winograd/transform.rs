@@ -7,6 +7,8 @@ use crate::nn::cpu::simd::Simd;
 const PAIRS: usize = 4;
 /// The most outputs.
 const OUTPUTS: usize = 6;
+/// The most taps.
+const TAPS: usize = 5;
 
 /// A [`Scheme`]'s matrices, folded: rows of a pair of points `p` and `-p` are `even + odd` and
 /// `even - odd`, where one has only the even columns and the other only the odd ones. That halves the
@@ -23,11 +25,16 @@ pub(super) struct Transform {
     odd: [[f32; PAIRS]; PAIRS],
     /// For each pair, the factors of its products in each output.
     powers: [[f32; OUTPUTS]; PAIRS],
+    /// At the points 0 and infinity, the factor of the only tap that there is.
+    ends: [f32; 2],
+    /// For each pair, the factors of the taps at its first point.
+    taps: [[f32; TAPS]; PAIRS],
 }
 
 impl Transform {
     pub(super) fn new(scheme: Scheme) -> Self {
         let (data, products) = (scheme.of_data(), scheme.of_products());
+        let filter = scheme.of_filter();
         let n = scheme.products();
         let mut transform = Self {
             zero: [0.0; PAIRS + 1],
@@ -35,6 +42,8 @@ impl Transform {
             even: [[0.0; PAIRS]; PAIRS],
             odd: [[0.0; PAIRS]; PAIRS],
             powers: [[0.0; OUTPUTS]; PAIRS],
+            ends: [filter[0][0] as f32, filter[n - 1][scheme.taps - 1] as f32],
+            taps: [[0.0; TAPS]; PAIRS],
         };
         for k in 0..n / 2 {
             transform.zero[k] = data[0][2 * k] as f32;
@@ -48,6 +57,9 @@ impl Transform {
             }
             for (power, &product) in transform.powers[pair].iter_mut().zip(&products[plus]) {
                 *power = product as f32;
+            }
+            for (tap, &factor) in transform.taps[pair].iter_mut().zip(&filter[plus]) {
+                *tap = factor as f32;
             }
         }
         transform
@@ -73,6 +85,28 @@ impl Transform {
             }
             at[1 + 2 * pair] = simd.add(even, odd);
             at[2 + 2 * pair] = simd.sub(even, odd);
+        }
+        at
+    }
+
+    /// A filter of `K` taps at `N` points.
+    #[inline(always)]
+    pub(super) fn filter<S: Simd, const K: usize, const N: usize>(
+        &self,
+        simd: S,
+        g: [S::V; K],
+    ) -> [S::V; N] {
+        let mut at = [simd.splat(0.0); N];
+        at[0] = simd.mul(simd.splat(self.ends[0]), g[0]);
+        at[N - 1] = simd.mul(simd.splat(self.ends[1]), g[K - 1]);
+        for pair in 0..N / 2 - 1 {
+            let taps = &self.taps[pair];
+            let mut parts = [0, 1].map(|i| simd.mul(simd.splat(taps[i]), g[i]));
+            for k in 2..K {
+                parts[k % 2] = simd.fma(simd.splat(taps[k]), g[k], parts[k % 2]);
+            }
+            at[1 + 2 * pair] = simd.add(parts[0], parts[1]);
+            at[2 + 2 * pair] = simd.sub(parts[0], parts[1]);
         }
         at
     }
@@ -104,7 +138,7 @@ mod tests {
     use crate::nn::cpu::simd::Portable;
 
     /// The folded transforms against the matrices.
-    fn check<const N: usize, const M: usize>(scheme: Scheme) {
+    fn check<const N: usize, const M: usize, const K: usize>(scheme: Scheme) {
         let transform = Transform::new(scheme);
         let x: [f32; N] = std::array::from_fn(|i| (3 * i * i % 7) as f32 - 3.0);
         let vectors = x.map(|x| Portable.splat(x));
@@ -121,13 +155,19 @@ mod tests {
             let column: Vec<i64> = matrix.iter().map(|row| row[i]).collect();
             assert_eq!(got, dot(&column), "{scheme:?}");
         }
+        let taps: [_; K] = std::array::from_fn(|k| vectors[k]);
+        let got = transform.filter::<_, K, N>(Portable, taps).map(|v| v[0]);
+        for (got, row) in got.into_iter().zip(scheme.of_filter()) {
+            let want: f64 = row.iter().zip(x).map(|(c, x)| c * f64::from(x)).sum();
+            assert!((f64::from(got) - want).abs() < 1e-6, "{scheme:?}");
+        }
     }
 
     #[test]
     fn like_the_matrices() {
-        check::<4, 2>(Scheme::F23);
-        check::<6, 4>(Scheme::F43);
-        check::<6, 2>(Scheme::F25);
-        check::<10, 6>(Scheme::F65);
+        check::<4, 2, 3>(Scheme::F23);
+        check::<6, 4, 3>(Scheme::F43);
+        check::<6, 2, 5>(Scheme::F25);
+        check::<10, 6, 5>(Scheme::F65);
     }
 }
