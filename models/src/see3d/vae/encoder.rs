@@ -151,13 +151,15 @@ impl Encoder {
     ) -> Result<Moments> {
         let (batch, height, width, colours) = pictures.dims4()?;
         let (wanted, scale) = (self.config.in_channels, self.config.scale());
-        if colours != wanted || height.min(width) < scale || batch == 0 {
+        let tiles = self.tiling.of_encoding(&self.config)?;
+        let is_small = |&(height, width): &(usize, usize)| height.min(width) < scale;
+        if colours != wanted || batch == 0 || tiles.sizes((height, width)).iter().any(is_small) {
             bail!(
-                "pictures (batch, height, width, {wanted}) of at least {scale} pixels a side are wanted, got {:?}",
+                "pictures (batch, height, width, {wanted}), of at least {scale} pixels a side also in the last \
+                 tile, are wanted, got {:?}",
                 pictures.shape()
             );
         }
-        let tiles = self.tiling.of_encoding(&self.config)?;
         let parameters = (0..batch)
             .map(|i| {
                 tiles.run(&pictures.narrow(0, i, 1)?, &mut |tile| {

@@ -187,6 +187,11 @@ mod tests {
             let message = vae.decoder.decode(&x).unwrap_err().to_string();
             assert!(message.contains("(batch, height, width, 4)"), "{message}");
         }
+        // Tiles begin every 12 pixels, so the last would have 2.
+        let x = random((1, 16, 26, 3));
+        let message = network(Tiling::Tiles(16)).encoder.encode(&x);
+        let message = message.unwrap_err().to_string();
+        assert!(message.contains("last tile"), "{message}");
         let x = random((1, 16, 16, 3));
         let message = network(Tiling::Tiles(20)).encoder.encode(&x);
         let message = message.unwrap_err().to_string();

@@ -13,7 +13,8 @@ pub enum Tiling {
     /// Never.
     Whole,
     /// Where a side of the picture exceeds the configuration's `sample_size`, into tiles of that size:
-    /// what the original does.
+    /// what the original does. Where that is no multiple of [`Tiling::step`], tiles do not fit together,
+    /// and results come out larger than they should, also in the original.
     #[default]
     Released,
     /// Where a side of the picture exceeds so many pixels, into tiles of that size; a multiple of
