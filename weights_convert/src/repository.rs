@@ -1,5 +1,6 @@
 //! Folders in which all networks of a method are published together, each in a folder of its own.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::convert::Conversion;
@@ -65,6 +66,7 @@ impl Repository {
     /// there is none.
     pub fn at(path: &Path) -> Option<Self> {
         let folders = Network::all().iter().filter_map(|network| network.folder);
+        let folders: BTreeSet<_> = folders.collect();
         let mut roots = vec![path.to_path_buf()];
         for folder in folders {
             let name = Path::new(folder).file_name().unwrap_or_default();

@@ -165,7 +165,7 @@ impl Config {
         let told = Self {
             num_heads: heads,
             num_head_channels: head_channels,
-            ..Self::from_shapes(shapes)?
+            ..Self::told_by(shapes)?
         };
         let Value::Object(mut all) = serde_json::to_value(told).map_err(wrong)? else {
             bail!("a configuration is no table");
@@ -184,6 +184,13 @@ impl Config {
     ///
     /// If a tensor that says a size is missing, or its shape cannot be.
     pub fn from_shapes(shapes: &BTreeMap<String, Vec<usize>>) -> Result<Self> {
+        let config = Self::told_by(shapes)?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The same, of which nothing is checked: the width of heads may be another.
+    fn told_by(shapes: &BTreeMap<String, Vec<usize>>) -> Result<Self> {
         let size = |name: &str, axis: usize| match shapes.get(name) {
             None => bail!("the tensor {name} is missing"),
             Some(shape) => (shape.get(axis).copied().filter(|&size| size > 0))
@@ -225,7 +232,7 @@ impl Config {
         let image_prompts = (shapes.keys()).any(|name| name.starts_with("image_embed."));
         let camera = "camera_embed.0.weight";
         let has_camera = shapes.contains_key(camera);
-        let config = Self {
+        Ok(Self {
             in_channels: size(first, 1)?,
             model_channels,
             out_channels: size("out.2.weight", 0)?,
@@ -239,9 +246,7 @@ impl Config {
             camera_dim: has_camera.then(|| size(camera, 1)).transpose()?,
             ip_dim: usize::from(image_prompts),
             ..Self::released()
-        };
-        config.validate()?;
-        Ok(config)
+        })
     }
 
     /// Number of levels; a map is halved between each and the next.

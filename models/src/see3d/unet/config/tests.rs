@@ -37,7 +37,7 @@ fn a_file_with_everything_needs_no_shapes() {
 fn shapes_tell_what_a_file_lacks() {
     let own = Config {
         in_channels: 7,
-        model_channels: 64,
+        model_channels: 32,
         out_channels: 8,
         num_res_blocks: Repeats::Each(vec![2, 1, 3]),
         attention_resolutions: vec![4, 1],
