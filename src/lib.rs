@@ -21,6 +21,7 @@ pub mod reconstruct;
 pub mod render;
 pub mod scene;
 pub mod segment;
+mod weights;
 
 pub use error::{Error, Result};
 pub use map::Map;

@@ -1,13 +1,14 @@
-use super::{output, terminal::Terminal};
+use super::{output, refine, terminal::Terminal};
 use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
 use tid3r::demo::{self, DemoParams};
+use tid3r_weights_convert::Places;
 
 /// Build a furnished room, run the whole method on it and compare with the truth.
 ///
 /// No network is needed: the room is ray-cast from a seed, and errors like those of imperfect networks
-/// are put in before the method runs. Writes photos, cloud, instances, views before and after edits,
+/// are put in before the method runs. With --refine see3d, that network completes the views. Writes photos, cloud, instances, views before and after edits,
 /// and index.html, which shows them.
 #[derive(Debug, Args)]
 pub(super) struct Demo {
@@ -16,6 +17,8 @@ pub(super) struct Demo {
     output: PathBuf,
     #[command(flatten)]
     params: DemoParams,
+    #[command(flatten)]
+    refine: refine::Options,
     /// Print the figures as JSON
     #[arg(long)]
     json: bool,
@@ -23,7 +26,8 @@ pub(super) struct Demo {
 
 impl Demo {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
-        let report = demo::run(&self.params, &self.output, terminal)?;
+        let completer = self.refine.completer(&Places::of_environment())?;
+        let report = demo::run(&self.params, &*completer, &self.output, terminal)?;
         if self.json {
             return output::json(&report);
         }

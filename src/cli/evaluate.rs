@@ -1,4 +1,4 @@
-use super::{SceneArgument, output, terminal::Terminal};
+use super::{SceneArgument, output, refine, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -12,10 +12,11 @@ use tid3r::{
     },
     photos::Photo,
     progress::Progress,
-    render::{EditedScene, ReferenceParams, Rendering, SplatParams, fill::Fill},
+    render::{Completer, EditedScene, ReferenceParams, Rendering, SplatParams},
     scene::{Frame, Role, Scene, Stage},
     segment::{Instances, LabelImages, unify},
 };
+use tid3r_weights_convert::Places;
 
 /// Compare a scene with the truth about it.
 ///
@@ -41,6 +42,8 @@ pub(super) struct Evaluate {
     #[arg(long, value_enum, default_value_t = Align::Scale)]
     align: Align,
     #[command(flatten)]
+    refine: refine::Options,
+    #[command(flatten)]
     references: ReferenceParams,
     /// Print the report as JSON
     #[arg(long)]
@@ -65,8 +68,9 @@ struct Report {
 impl Evaluate {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
         let scene = Scene::open(&self.scene.scene)?;
+        let completer = self.refine.completer(&Places::of_environment())?;
         let frames = scene.frames(Role::Input)?;
-        terminal.begin("evaluating", 3);
+        terminal.begin("evaluating", 2);
         let depth = match &self.truth {
             Some(truth) => Some(self.depth(&scene, &frames, truth)?),
             None => None,
@@ -76,9 +80,8 @@ impl Evaluate {
             Some(folder) => Some(instances(&scene, &frames, folder)?),
             None => None,
         };
-        terminal.advance(1);
-        let views = self.views(&scene)?;
         terminal.end();
+        let views = self.views(&scene, &*completer, terminal)?;
         let report = Report {
             depth,
             instances,
@@ -123,7 +126,12 @@ impl Evaluate {
         Ok(DepthComparison::new(frames, &validity, &depths, alignment)?)
     }
 
-    fn views(&self, scene: &Scene) -> Result<Option<ViewsReport>> {
+    fn views(
+        &self,
+        scene: &Scene,
+        completer: &dyn Completer,
+        progress: &dyn Progress,
+    ) -> Result<Option<ViewsReport>> {
         let held_out = scene.frames(Role::HeldOut)?;
         if held_out.is_empty() || scene.manifest().fresh(Stage::Unify).is_none() {
             return Ok(None);
@@ -142,7 +150,7 @@ impl Evaluate {
             })
             .collect::<Result<Vec<_>>>()?;
         let rendering = Rendering {
-            completer: &Fill,
+            completer,
             splats: SplatParams::default(),
             references: self.references.clone(),
         };
@@ -150,16 +158,16 @@ impl Evaluate {
             Some(_) => EditedScene::load(scene)?,
             None => EditedScene::with_edits(scene, &[])?,
         };
-        let references = rendering.references(&edited);
-        let views = held_out
+        let cameras: Vec<_> = held_out
             .iter()
-            .map(|frame| rendering.view(&edited, &references, &frame.camera))
-            .collect::<Result<Vec<_>, _>>()?;
-        let compared: Vec<_> = held_out
+            .map(|frame| (frame.photo.name.clone(), frame.camera))
+            .collect();
+        let views = rendering.views(&edited, &cameras, progress)?;
+        let compared: Vec<_> = cameras
             .iter()
             .zip(&views)
             .zip(&pictures)
-            .map(|((frame, view), picture)| (&*frame.photo.name, view, picture))
+            .map(|(((name, _), (view, _)), picture)| (&**name, view, picture))
             .collect();
         Ok(ViewsReport::new(&compared)?)
     }

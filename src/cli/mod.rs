@@ -11,6 +11,7 @@ mod import;
 mod instances;
 mod output;
 mod reconstruct;
+mod refine;
 mod render;
 mod run;
 mod segment;

@@ -1,18 +1,21 @@
-use super::{SceneArgument, output, terminal::Terminal};
+use super::{SceneArgument, output, refine, terminal::Terminal};
 use anyhow::Result;
-use clap::{Args, ValueEnum};
-use serde::Serialize;
-use std::{path::PathBuf, time::Instant};
+use clap::Args;
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
 use tid3r::{
     Error,
     geometry::{Camera, Point},
     progress::Progress,
     render::{
-        Bare, Completer, EditedScene, PathFile, ReferenceParams, RenderRecord, Rendering,
-        SplatParams, ViewFiles, between, fill::Fill, orbit, render_recipe,
+        Completer, EditedScene, PathFile, ReferenceParams, Rendering, SplatParams, Target, Written,
+        between, orbit, scene_recipe,
     },
     scene::{Role, Scene, WriteLock},
 };
+use tid3r_weights_convert::Places;
 
 pub(super) const PATH_FORMAT: &str = r#"A camera path (--path) is a JSON file:
   {"views": [{"name": "door",
@@ -29,6 +32,10 @@ rendered view comes with NAME.json, which has the form of an entry of "views"."#
 /// Writes NAME.png, the projection before completion (NAME.projection.png) and its mask
 /// (NAME.mask.png) into the scene's views/ folder. Without a choice of cameras, renders the scene's
 /// held-out views, or its first photo's if there are none.
+///
+/// Views that are there already, rendered from the same, are left alone: a rendering that was stopped
+/// goes on where it was. Texts in NAME.png say how it came about: camera, settings, seed, the weights'
+/// hashes.
 #[derive(Debug, Args)]
 #[command(after_help = PATH_FORMAT)]
 pub(super) struct Render {
@@ -39,6 +46,9 @@ pub(super) struct Render {
     /// The folder to write to [default: views/ in the scene]
     #[arg(short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
+    /// Render views again that are there already
+    #[arg(long)]
+    force: bool,
     /// Print what was written as JSON
     #[arg(long)]
     json: bool,
@@ -51,9 +61,8 @@ pub(super) struct Render {
 pub(super) struct Options {
     #[command(flatten)]
     cameras: Cameras,
-    /// How empty pixels are completed
-    #[arg(long, value_enum, default_value_t = Refine::Fill, help_heading = "Rendering")]
-    refine: Refine,
+    #[command(flatten)]
+    refine: refine::Options,
     #[command(flatten, next_help_heading = "Rendering")]
     splats: SplatParams,
     #[command(flatten, next_help_heading = "Rendering")]
@@ -73,7 +82,7 @@ struct Cameras {
     /// How many views --between and --orbit give
     #[arg(long, value_name = "N", default_value_t = 8,
           value_parser = clap::value_parser!(u16).range(1..=10_000))]
-    steps: u16,
+    views: u16,
     /// Around the middle of the scene
     #[arg(long)]
     orbit: bool,
@@ -85,35 +94,22 @@ struct Cameras {
     test_views: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-enum Refine {
-    /// Not at all: the bare projection
-    None,
-    /// By what the photos agree on, and smooth colour elsewhere
-    Fill,
-}
-
-impl Refine {
-    fn completer(self) -> &'static dyn Completer {
-        match self {
-            Self::None => &Bare,
-            Self::Fill => &Fill,
-        }
-    }
-}
-
 impl Render {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
-        let start = Instant::now();
         let scene = Scene::open(&self.scene.scene)?;
         let lock = WriteLock::acquire(scene.folder())?;
+        let completer = self.options.completer(&Places::of_environment())?;
         let edited = EditedScene::load(&scene)?;
         let folder = self.output.unwrap_or_else(|| scene.folder().join("views"));
-        let cameras = self.options.cameras.choose(&scene, &edited)?;
-        let rendering = self.options.rendering();
-        let views = rendering.write(&edited, &cameras, &folder, &lock, terminal)?;
-        scene.write_timing("render", start, &lock)?;
+        let Written { views, rendered } = (self.options).render(
+            &scene,
+            &edited,
+            &*completer,
+            &folder,
+            self.force,
+            &lock,
+            terminal,
+        )?;
         if self.json {
             return output::json(&views);
         }
@@ -124,47 +120,53 @@ impl Render {
                 view.picture.display()
             ))?;
         }
+        if !rendered {
+            output::line(
+                "up to date: all were there, rendered from the same (--force renders them again)",
+            )?;
+        }
         Ok(())
     }
 }
 
 impl Options {
-    fn rendering(&self) -> Rendering<'static> {
-        Rendering {
-            completer: self.refine.completer(),
-            splats: self.splats.clone(),
-            references: self.references.clone(),
-        }
+    /// What completes projections, with weights in `places` if it needs some.
+    pub(super) fn completer(&self, places: &Places) -> Result<Box<dyn Completer>> {
+        self.refine.completer(places)
     }
 
-    /// Writes the views into the scene's views/ folder, unless they are there already, rendered from the
-    /// same; says whether they had to be rendered.
-    pub(super) fn render_once(
+    /// Writes the views into a folder, unless they are there already, rendered from the same.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "`render` and `run` have little in common but this"
+    )]
+    pub(super) fn render(
         &self,
         scene: &Scene,
         edited: &EditedScene,
+        completer: &dyn Completer,
+        folder: &Path,
         force: bool,
         lock: &WriteLock,
         progress: &dyn Progress,
-    ) -> Result<(Vec<ViewFiles>, bool)> {
+    ) -> Result<Written> {
         let start = Instant::now();
         let cameras = self.cameras.choose(scene, edited)?;
-        let record = RenderRecord {
-            folder: &scene.folder().join("views"),
-            recipe: render_recipe(
-                scene,
-                &(&cameras, self.refine, &self.splats, &self.references),
-            )?,
+        let rendering = Rendering {
+            completer,
+            splats: self.splats.clone(),
+            references: self.references.clone(),
         };
-        if !force && let Some(views) = record.views() {
-            return Ok((views, false));
+        let target = Target {
+            folder,
+            scene_recipe: &scene_recipe(scene)?,
+            force,
+        };
+        let written = rendering.write(edited, &cameras, &target, lock, progress)?;
+        if written.rendered {
+            scene.write_timing("render", start, lock)?;
         }
-        let views = self
-            .rendering()
-            .write(edited, &cameras, record.folder, lock, progress)?;
-        record.write(&views)?;
-        scene.write_timing("render", start, lock)?;
-        Ok((views, true))
+        Ok(written)
     }
 }
 
@@ -178,15 +180,15 @@ impl Cameras {
         }
         if let [from, to] = &self.between[..] {
             let (a, b) = (self.find(scene, from)?, self.find(scene, to)?);
-            for step in 1..=self.steps {
-                let share = f64::from(step) / f64::from(self.steps + 1);
+            for step in 1..=self.views {
+                let share = f64::from(step) / f64::from(self.views + 1);
                 cameras.push((format!("{from}_to_{to}_{step:04}"), between(&a, &b, share)));
             }
         }
         if self.orbit {
             let first = inputs.first().ok_or_else(|| no_photos(scene))?;
             let floor = &scene.manifest().floor_to_world;
-            let around = orbit(&first.camera, &middle(edited), floor, self.steps.into());
+            let around = orbit(&first.camera, &middle(edited), floor, self.views.into());
             let named = around.into_iter().enumerate();
             cameras.extend(named.map(|(k, camera)| (format!("orbit_{k:04}"), camera)));
         }

@@ -10,7 +10,7 @@ use tid3r::{
     exchange::ply,
     progress::Progress,
     reconstruct::{CleanParams, CleanReport, clean},
-    render::{EditedScene, ViewFiles},
+    render::{EditedScene, ViewFiles, Written},
     scene::{Scene, Stage, WriteLock},
     segment::SegmentReport,
 };
@@ -155,6 +155,7 @@ impl Run {
         let force = self.force;
         // What can be wrong with it is said before any work.
         let wanted = self.edits.read()?;
+        let completer = self.render.completer(&places)?;
         let weights = self.reconstruct.find_weights(&places)?;
         let mut steps = Steps {
             terminal,
@@ -183,9 +184,16 @@ impl Run {
         let list = steps.run("edit", |_| self.edits.apply(&scene, &wanted, &lock))?;
         let (views, points) = steps.run("render", |progress| {
             let edited = EditedScene::load(&scene)?;
-            let (views, rendered) = self
-                .render
-                .render_once(&scene, &edited, force, &lock, progress)?;
+            let folder = scene.folder().join("views");
+            let Written { views, rendered } = self.render.render(
+                &scene,
+                &edited,
+                &*completer,
+                &folder,
+                force,
+                &lock,
+                progress,
+            )?;
             let points = write_points(&scene, &list, &edited, rendered, &lock)?;
             Ok(((views, points), rendered))
         })?;

@@ -65,7 +65,10 @@ fn compose(page: &mut String, set: &StageSet, report: &DemoReport) -> std::fmt::
     section(
         page,
         "Novel views",
-        "The cloud as projected, completed, and the true picture.",
+        &format!(
+            "The cloud as projected, completed by {}, and the true picture.",
+            report.completed_by
+        ),
     )?;
     for shot in &set.held_out {
         let name = &shot.name;

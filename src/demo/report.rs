@@ -13,6 +13,8 @@ pub struct DemoReport {
     pub edited_views: EditedViewFigures,
     /// The object that was removed and moved.
     pub showcase: String,
+    /// What completed the views.
+    pub completed_by: String,
     /// The room's.
     pub seed: u64,
     /// How long everything took.

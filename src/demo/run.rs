@@ -12,11 +12,11 @@ use crate::{
         image::psnr,
         scene::{DepthComparison, InstanceComparison, ViewsReport},
     },
-    geometry::Point,
+    geometry::{Camera, Point},
     progress::Progress,
     reconstruct::{self, CleanParams, NewScene},
-    render::{EditedScene, ReferenceParams, Rendering, SplatParams, View, fill::Fill},
-    scene::{Role, Scale, Scene, Stage, WriteLock, files},
+    render::{Completer, EditedScene, ReferenceParams, Rendering, SplatParams, View},
+    scene::{Role, Scale, Scene, Stage, WriteLock},
     segment::{self, Instances, LabelImages, MaskParams, Segmentation, UnifyParams},
 };
 use serde::Serialize;
@@ -39,11 +39,17 @@ pub struct DemoParams {
 }
 
 /// Builds a room, photographs it, lets imperfect networks see the photos, runs the method, and
-/// measures against the truth; writes everything, and a page that shows it, into `folder`.
+/// measures against the truth; writes everything, and a page that shows it, into `folder`. `completer`
+/// completes the views.
 ///
 /// # Errors
-/// When the folder cannot be written to, or holds something else.
-pub fn run(params: &DemoParams, folder: &Path, progress: &dyn Progress) -> Result<DemoReport> {
+/// When the folder cannot be written to, or holds something else; those of the completer.
+pub fn run(
+    params: &DemoParams,
+    completer: &dyn Completer,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<DemoReport> {
     let start = Instant::now();
     let lock = WriteLock::acquire(folder)?;
     let scene_folder = folder.join("scene");
@@ -82,6 +88,7 @@ pub fn run(params: &DemoParams, folder: &Path, progress: &dyn Progress) -> Resul
         scene: &scene,
         lock: &scene_lock,
         folder,
+        completer,
     };
     let report = DemoReport {
         depth: show.depth()?,
@@ -89,6 +96,7 @@ pub fn run(params: &DemoParams, folder: &Path, progress: &dyn Progress) -> Resul
         views: show.views(progress)?,
         edited_views: show.removal(progress)?,
         showcase: set.showcase.name.clone(),
+        completed_by: completer.title(),
         seed: params.seed,
         seconds: 0.0,
     };
@@ -109,6 +117,7 @@ struct Show<'a> {
     scene: &'a Scene,
     lock: &'a WriteLock,
     folder: &'a Path,
+    completer: &'a dyn Completer,
 }
 
 impl Show<'_> {
@@ -163,9 +172,9 @@ impl Show<'_> {
         })
     }
 
-    fn rendering(mask_references: bool) -> Rendering<'static> {
+    fn rendering(&self, mask_references: bool) -> Rendering<'_> {
         Rendering {
-            completer: &Fill,
+            completer: self.completer,
             splats: SplatParams::default(),
             references: ReferenceParams {
                 mask_references,
@@ -188,18 +197,20 @@ impl Show<'_> {
         }
         list.save(self.scene, self.lock)?;
         let edited = EditedScene::load(self.scene)?;
-        let rendering = Self::rendering(true);
-        let references = rendering.references(&edited);
-        progress.begin("rendering", self.set.held_out.len());
-        let mut views = Vec::new();
-        for shot in &self.set.held_out {
-            let view = rendering.view(&edited, &references, &shot.camera)?;
-            view.write(&self.pictures().join(into), &shot.name)?;
-            views.push(view);
-            progress.advance(1);
-        }
-        progress.end();
-        Ok((edited, views))
+        let rendered = (self.rendering(true)).views(&edited, &self.cameras(), progress)?;
+        let views = self.set.held_out.iter().zip(rendered);
+        let written = views.map(|(shot, (view, story))| {
+            view.write(&self.pictures().join(into), &shot.name, &story)?;
+            Ok(view)
+        });
+        let written = written.collect::<Result<_>>()?;
+        Ok((edited, written))
+    }
+
+    /// The held-out views.
+    fn cameras(&self) -> Vec<(String, Camera)> {
+        let shots = self.set.held_out.iter();
+        shots.map(|shot| (shot.name.clone(), shot.camera)).collect()
     }
 
     fn pictures(&self) -> PathBuf {
@@ -258,21 +269,26 @@ impl Show<'_> {
         };
         let (edited, masked) = self.render(vec![removal], "removed", progress)?;
         let id = self.set.showcase.id;
-        let as_they_are = Self::rendering(false);
-        let references = as_they_are.references(&edited);
-        // For each view that shows the object: PSNR of the picture and of where the object was.
-        let (mut with_masks, mut without_masks) = (Vec::new(), Vec::new());
-        let shots = self.set.held_out.iter().zip(&self.set.without);
-        for ((with, without), masked) in shots.zip(&masked) {
+        let shots = self.set.held_out.iter().zip(&self.set.without).zip(&masked);
+        let regions = shots.map(|((with, without), masked)| {
             let region = with.view.instances.map(|&seen| seen == id);
-            if !region.values().contains(&true) {
-                continue;
-            }
-            let unmasked = as_they_are.view(&edited, &references, &without.camera)?;
-            let name = format!("removed_unmasked/{}.png", without.name);
-            files::write_png(&self.pictures().join(name), &unmasked.picture)?;
+            (region, without, masked)
+        });
+        // The views that show the object.
+        let shown: Vec<_> = regions
+            .filter(|(region, ..)| region.values().contains(&true))
+            .collect();
+        let cameras: Vec<_> = (shown.iter())
+            .map(|(_, without, _)| (without.name.clone(), without.camera))
+            .collect();
+        let rendered = (self.rendering(false)).views(&edited, &cameras, progress)?;
+        // For each, PSNR of the picture and of where the object was.
+        let (mut with_masks, mut without_masks) = (Vec::new(), Vec::new());
+        for ((region, without, masked), (unmasked, story)) in shown.into_iter().zip(&rendered) {
+            let folder = self.pictures().join("removed_unmasked");
+            unmasked.write(&folder, &without.name, story)?;
             let truth = &without.view.colour;
-            for (view, figures) in [(masked, &mut with_masks), (&unmasked, &mut without_masks)] {
+            for (view, figures) in [(masked, &mut with_masks), (unmasked, &mut without_masks)] {
                 let whole = psnr(&view.picture, truth, None)?;
                 figures.push([whole, psnr(&view.picture, truth, Some(&region))?]);
             }

@@ -185,10 +185,7 @@ impl ViewsReport {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        render::{self, Completer},
-        scene::test_frames::facing_wall,
-    };
+    use crate::{render, scene::test_frames::facing_wall};
 
     /// Two views of a wall: the truth names its left half (instance 5), the rest is structure.
     fn truth() -> Vec<Map<u32>> {
@@ -250,7 +247,7 @@ mod tests {
         let cloud = Cloud::from_frames(&frames, &validity, None);
         let params = render::SplatParams { point_size: 0.5 };
         let projection = render::project(&cloud, &frames[0].camera, &params);
-        let picture = render::fill::Fill.complete(&projection, &[]).unwrap();
+        let picture = render::fill::Fill.complete(&projection, &[]);
         let view = View {
             picture,
             projection,

@@ -92,6 +92,26 @@ pub fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
     )
 }
 
+/// Writes a picture as PNG, with texts (keyword and words, ASCII) that programs show as its properties.
+///
+/// # Errors
+/// As [`write_atomically`].
+pub fn write_png_with_text(path: &Path, image: &RgbImage, texts: &[(&str, String)]) -> Result<()> {
+    let encode = |writer: &mut dyn Write| -> Result<(), png::EncodingError> {
+        let mut encoder = png::Encoder::new(writer, image.width(), image.height());
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
+        for (keyword, words) in texts {
+            encoder.add_text_chunk((*keyword).to_string(), words.clone())?;
+        }
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(image.as_raw())?;
+        writer.finish()
+    };
+    write_atomically(path, |writer| encode(writer).map_err(io::Error::other))
+}
+
 /// Writes a map of yes and no as a black and white PNG (white: yes).
 ///
 /// # Errors

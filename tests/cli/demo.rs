@@ -54,6 +54,21 @@ fn the_demo_shows_that_the_method_works() {
 }
 
 #[test]
+fn see3d_completes_the_views_if_asked() {
+    let place = Place::new();
+    let [out, err] = place.run_loud(
+        "demo --width 64 -o demo --json --refine see3d --weights synthetic-tiny --references 2 --steps 1",
+    );
+    let report: Value = serde_json::from_str(&out).unwrap();
+    assert!(err.contains("made up"), "{err}");
+    let completed_by = report["completed_by"].as_str().unwrap();
+    assert!(completed_by.contains("See3D"), "{completed_by}");
+    assert_complete(&place, "demo");
+    let page = place.files("demo")["index.html"].clone();
+    assert!(String::from_utf8(page).unwrap().contains(completed_by));
+}
+
+#[test]
 fn a_seed_gives_the_same_bytes_whatever_was_there_before() {
     let [one, two] = [Place::new(), Place::new()];
     let mut first = one.json("demo --width 64 --seed 7 -o demo --json --threads 1");

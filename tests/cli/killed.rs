@@ -30,13 +30,13 @@ fn kill_after(place: &Place, arguments: &str, delay: Duration) {
 fn assert_resumes(prepare: impl Fn() -> Place, arguments: &str, output: &str, moments: u32) {
     let undisturbed = prepare();
     let start = Instant::now();
-    undisturbed.run(arguments);
+    undisturbed.run_loud(arguments);
     let takes = start.elapsed();
     let wanted = undisturbed.files(output);
     for moment in 1..=moments {
         let place = prepare();
         kill_after(&place, arguments, takes * moment / (moments + 1));
-        place.run(arguments);
+        place.run_loud(arguments);
         assert_same_files(&place.files(output), &wanted);
     }
 }
@@ -106,8 +106,20 @@ fn a_rendering() {
         place.run("edit scene remove 1");
         place
     };
-    let arguments = "render scene --orbit --steps 6";
+    let arguments = "render scene --orbit --views 6";
     assert_resumes(prepare, arguments, "scene", 5);
+}
+
+#[test]
+fn a_rendering_in_groups_by_a_network() {
+    let prepare = || {
+        let place = Place::with_scene();
+        place.run("edit scene remove 1");
+        place
+    };
+    let arguments = "render scene --orbit --views 5 --refine see3d --weights synthetic-tiny \
+                     --references 2 --group 2 --steps 3 --super-resolution";
+    assert_resumes(prepare, arguments, "scene", 4);
 }
 
 /// Killed over and over at later and later moments, in one folder.

@@ -20,6 +20,7 @@ mod reconstruct;
 mod recording;
 mod render;
 mod run;
+mod see3d;
 mod segment;
 mod stages;
 mod usage;

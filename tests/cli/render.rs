@@ -1,5 +1,6 @@
 use crate::{Place, recording};
 use image::RgbImage;
+use std::fs;
 
 /// Peak signal-to-noise ratio, dB.
 fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
@@ -55,17 +56,47 @@ fn cameras_can_be_chosen_in_many_ways() {
         rendered(&place, "--at frame-000000,frame-000002"),
         ["frame-000000", "frame-000002"]
     );
-    let between = rendered(&place, "--between frame-000000 frame-000006 --steps 3");
+    let between = rendered(&place, "--between frame-000000 frame-000006 --views 3");
     assert_eq!(between[0], "frame-000000_to_frame-000006_0001");
     assert_eq!(between.len(), 3);
     // Half way between the outermost photos is the middle one.
     assert!(psnr(&view(&place, &between[1]), &recording::photo(3)) > 20.0);
     assert_eq!(
-        rendered(&place, "--orbit --steps 2"),
+        rendered(&place, "--orbit --views 2"),
         ["orbit_0000", "orbit_0001"]
     );
     let message = place.fail("render scene --at frame-3");
     assert!(message.contains("no photo 'frame-3'") && message.contains("frame-000003"));
+}
+
+#[test]
+fn what_is_there_is_not_rendered_again() {
+    let place = Place::with_scene();
+    place.run("render scene");
+    let (files, times) = (place.files("scene/views"), place.times("scene"));
+    let out = place.run("render scene");
+    assert!(
+        out.contains("frame-000002.png  (") && out.contains("up to date"),
+        "{out}"
+    );
+    assert_eq!(place.times("scene"), times);
+    // One more view, and one that was lost.
+    place.run("render scene --at frame-000002,frame-000003");
+    let after = place.times("scene");
+    assert_eq!(
+        after["views/frame-000002.png"],
+        times["views/frame-000002.png"]
+    );
+    fs::remove_file(place.path("scene/views/frame-000004.mask.png")).unwrap();
+    let out = place.run("render scene");
+    assert!(!out.contains("up to date"), "{out}");
+    assert!(place.times("scene")["views/frame-000004.png"] > times["views/frame-000004.png"]);
+    for (name, content) in files.iter().filter(|(name, _)| *name != "rendered.json") {
+        assert!(place.files("scene/views")[name] == *content, "{name}");
+    }
+    let out = place.run("render scene --force");
+    assert!(!out.contains("up to date"), "{out}");
+    assert!(place.times("scene")["views/frame-000002.png"] > after["views/frame-000002.png"]);
 }
 
 #[test]
@@ -90,10 +121,10 @@ fn unrefined_views_are_the_projection() {
     let place = Place::with_scene();
     let out = place.run("render scene --refine none -o elsewhere/views");
     assert!(out.starts_with("elsewhere/views/frame-000002.png"), "{out}");
-    let files = place.files("elsewhere/views");
+    let picture = |name: &str| image::open(place.path(&format!("elsewhere/views/{name}")));
     assert_eq!(
-        files["frame-000002.png"],
-        files["frame-000002.projection.png"]
+        picture("frame-000002.png").unwrap(),
+        picture("frame-000002.projection.png").unwrap()
     );
     assert!(!place.path("scene/views").exists());
 }

@@ -82,13 +82,12 @@ fn one_command_does_what_the_verbs_do() {
         assert!(image::open(&path).is_ok(), "{}", path.display());
     }
 
-    let mut found = place.files("scene");
+    let found = place.files("scene");
     fs::rename(place.path("scene"), place.path("first")).unwrap();
     place.run_loud("reconstruct photos -o scene --weights models/mvdust3r");
     for verb in ["clean", "segment", "render"] {
         place.run_loud(&format!("{verb} scene"));
     }
-    assert!(found.remove("views/rendered.json").is_some());
     assert_same_files(&found, &place.files("scene"));
 }
 
@@ -182,6 +181,22 @@ fn edits_are_made_once() {
     );
     let message = fails(&place, &format!("{RUN} --remove 999"));
     assert!(message.contains("no instance '999'"), "{message}");
+}
+
+#[test]
+fn see3d_completes_views_in_a_run_too() {
+    let place = place();
+    let see3d = "--refine see3d --see3d-weights synthetic-tiny --see3d-references 2 --steps 2";
+    let first = report(&place, see3d);
+    assert_eq!(done(&first), ["reconstruct", "clean", "segment", "render"]);
+    assert_eq!(done(&report(&place, see3d)), [""; 0]);
+    let other = report(&place, &format!("{see3d} --see3d-seed 1"));
+    assert_eq!(done(&other), ["render"]);
+    let message = fails(&place, &format!("{RUN} --see3d-seed 1"));
+    assert!(
+        message.contains("seed") && message.contains("--refine see3d"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -3,11 +3,12 @@
 mod push_pull;
 mod sweep;
 
-use super::{Completer, Projection, Reference};
+use super::{Completer, Completion, Projection, Reference, Views, completer::OneByOne};
 use crate::{Map, Result};
 use image::{Rgb, RgbImage};
 use push_pull::{Cell, push_pull};
 use rayon::prelude::*;
+use serde_json::{Value, json};
 
 /// Completes a projection without a network.
 ///
@@ -23,7 +24,29 @@ pub struct Fill;
 const FAR_SIDE: i32 = 4;
 
 impl Completer for Fill {
-    fn complete(&self, projection: &Projection, references: &[Reference]) -> Result<RgbImage> {
+    fn title(&self) -> String {
+        "what the photos agree on".into()
+    }
+
+    fn description(&self) -> Value {
+        json!("fill")
+    }
+
+    fn begin<'a>(
+        &'a self,
+        views: &'a Views<'a>,
+        _: Option<&Value>,
+    ) -> Result<Box<dyn Completion + 'a>> {
+        let complete = |projection: &Projection, references: &[Reference]| {
+            self.complete(projection, references)
+        };
+        Ok(Box::new(OneByOne::new(views, complete)))
+    }
+}
+
+impl Fill {
+    /// The completed picture, of the projection's size.
+    pub fn complete(&self, projection: &Projection, references: &[Reference]) -> RgbImage {
         let smooth = interpolate(projection);
         let near = sweep::nearest_references(&projection.camera, references);
         let colours: Vec<[u8; 3]> = (0..projection.mask.len())
@@ -42,7 +65,7 @@ impl Completer for Fill {
             .collect();
         let (width, height) = projection.colour.dimensions();
         let at = |x, y| colours[projection.mask.index(x, y)];
-        Ok(RgbImage::from_fn(width, height, |x, y| Rgb(at(x, y))))
+        RgbImage::from_fn(width, height, |x, y| Rgb(at(x, y)))
     }
 }
 
@@ -129,8 +152,8 @@ mod tests {
     #[test]
     fn what_the_photos_agree_on_is_put_in() {
         let references = [reference(-0.4), reference(0.3), reference(0.5)];
-        let guided = Fill.complete(&projection(), &references).unwrap();
-        let smooth = Fill.complete(&projection(), &[]).unwrap();
+        let guided = Fill.complete(&projection(), &references);
+        let smooth = Fill.complete(&projection(), &[]);
         assert!(error(&guided) < 3.0, "{}", error(&guided));
         assert!(error(&guided) < 0.5 * error(&smooth), "{}", error(&smooth));
     }
@@ -150,15 +173,15 @@ mod tests {
                 .for_each(|pixel| pixel.0 = [255, 0, 255]);
         }
         assert_eq!(
-            Fill.complete(&projection(), &masked).unwrap(),
-            Fill.complete(&projection(), &scrambled).unwrap()
+            Fill.complete(&projection(), &masked),
+            Fill.complete(&projection(), &scrambled)
         );
     }
 
     #[test]
     fn known_pixels_are_left_alone_and_nothing_is_left_empty() {
         let projection = projection();
-        let filled = Fill.complete(&projection, &[]).unwrap();
+        let filled = Fill.complete(&projection, &[]);
         for (index, (got, was)) in filled.pixels().zip(projection.colour.pixels()).enumerate() {
             if projection.mask.values()[index] {
                 assert_eq!(got, was);
@@ -180,7 +203,7 @@ mod tests {
         near.colour = RgbImage::from_fn(32, 24, |x, _| {
             Rgb(if x < 12 { [255, 0, 0] } else { [0, 0, 255] })
         });
-        let filled = Fill.complete(&near, &[]).unwrap();
+        let filled = Fill.complete(&near, &[]);
         let middle = filled.get_pixel(16, 12).0;
         assert!(middle[2] > 230, "{middle:?}");
     }
@@ -191,7 +214,7 @@ mod tests {
         empty.mask.values_mut().fill(false);
         empty.depth.values_mut().fill(0.0);
         empty.colour.pixels_mut().for_each(|pixel| pixel.0 = [0; 3]);
-        let filled = Fill.complete(&empty, &[reference(0.1)]).unwrap();
+        let filled = Fill.complete(&empty, &[reference(0.1)]);
         assert!(filled.pixels().all(|pixel| pixel.0 == [0; 3]));
     }
 }

@@ -1,14 +1,12 @@
 use super::{EncoderChoice, Networks};
-use crate::{Error, Result, error::network_problem};
-use candle_core::Device;
+use crate::{
+    Error, Result,
+    weights::{are_missing, joined, network},
+};
 use serde_json::{Value, json};
-use std::fmt::Display;
-use tid3r_models::{
-    Weights,
-    mobilesamv2::{
-        ImageEncoder, decoder::Decoder, detector::Detector, efficient_vit::EfficientVit,
-        tiny_vit::TinyVit, vit::Vit,
-    },
+use tid3r_models::mobilesamv2::{
+    ImageEncoder, decoder::Decoder, detector::Detector, efficient_vit::EfficientVit,
+    tiny_vit::TinyVit, vit::Vit,
 };
 use tid3r_weights_convert::{Config, Found, Network, Places};
 
@@ -49,7 +47,7 @@ impl MobileSamWeights {
                 let problems = [detector, encoder, decoder]
                     .into_iter()
                     .filter_map(Result::err);
-                Err(joined(problems.collect()))
+                Err(joined("MobileSAMv2's three", problems.collect()))
             }
         }
     }
@@ -63,7 +61,7 @@ impl MobileSamWeights {
         encoder: Option<EncoderChoice>,
     ) -> Result<Result<Self, Error>> {
         match Self::find(places, encoder) {
-            Err(error) if !is_missing(&error) => Err(error),
+            Err(error) if !are_missing(&error) => Err(error),
             found => Ok(found),
         }
     }
@@ -109,59 +107,5 @@ impl MobileSamWeights {
             "encoder": of_network(&self.encoder),
             "decoder": of_network(&self.decoder),
         })
-    }
-}
-
-/// Whether weights are merely not there, rather than damaged.
-fn is_missing(error: &Error) -> bool {
-    matches!(
-        error,
-        Error::Request { .. } | Error::Weights(tid3r_weights_convert::Error::Request { .. })
-    )
-}
-
-/// The first error about weights that are damaged; else one that says all that are missing.
-fn joined(mut errors: Vec<Error>) -> Error {
-    if let Some(damaged) = errors.iter().position(|error| !is_missing(error)) {
-        return errors.swap_remove(damaged);
-    }
-    if errors.len() == 1 {
-        return errors.swap_remove(0);
-    }
-    let all: Vec<String> = errors.iter().map(Error::to_string).collect();
-    Error::request(
-        format!(
-            "{} of MobileSAMv2's three networks are missing: {}",
-            all.len(),
-            all.join(" | ")
-        ),
-        "`tid3r weights list` shows what is here",
-    )
-}
-
-/// Builds a network of the weights that were found, mapped; `build` gives `None` for another network's
-/// configuration.
-fn network<N>(
-    found: &Found,
-    build: impl FnOnce(&Config, &Weights) -> Option<candle_core::Result<N>>,
-) -> Result<N> {
-    let damaged = |problem: &dyn Display| {
-        Error::file(
-            &found.folder,
-            format!("the weights cannot be used: {problem}"),
-            "make them again with `tid3r weights convert`",
-        )
-    };
-    let weights = Weights::open(&found.weights, &Device::Cpu)
-        .map_err(|error| damaged(&network_problem(&error)))?;
-    let network = build(&found.file.config, &weights)
-        .ok_or_else(|| damaged(&format!("they are of {}", found.network.title)))?
-        .map_err(|error| damaged(&network_problem(&error)))?;
-    match weights.unused().first() {
-        None => Ok(network),
-        Some(name) => Err(damaged(&format!(
-            "the file holds {} tensors that the network does not have, {name} the first",
-            weights.unused().len()
-        ))),
     }
 }

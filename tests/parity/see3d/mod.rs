@@ -1,6 +1,7 @@
 //! See3D: its networks and what is around them.
 
 mod clip;
+mod pipeline;
 mod schedule;
 mod unet;
 mod vae;
@@ -19,14 +20,19 @@ pub(crate) fn runner(model: &str) -> Option<Runner> {
         "CLIPVisionModelWithProjection" => clip::vision,
         "Downsample+Upsample" => unet::resample,
         "FeedForward" => unet::feed_forward,
+        "MVDreamPipeline" => pipeline::whole,
         "MultiViewUNetModel" => unet::network,
         "ResBlock" => unet::residual_block,
         "SpatialTransformer3D" => unet::spatial_transformer,
+        "clip_preprocess" => pipeline::clip_preprocessing,
         "ddim_alphas" => schedule::alphas,
         "ddim_step" => schedule::step,
         "ddim_timesteps" => schedule::timesteps,
         "ddim_trajectory" => schedule::trajectory,
+        "frame_grouping" => pipeline::grouping,
         "guidance" => schedule::guidance,
+        "pil2tensor" => pipeline::preprocessing,
+        "pil_resize" => pipeline::resize,
         "timestep_embedding" => unet::timesteps,
         "warp_mix" => schedule::warp_mix,
         _ => return None,

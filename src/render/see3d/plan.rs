@@ -1,0 +1,312 @@
+//! What a rendering takes, and how it is made to fit.
+
+use super::{
+    job::{Job, Part, unknown},
+    stage::{Settings, Stage},
+};
+use crate::{
+    Error, Result,
+    error::network_problem,
+    machine::{available_memory, readable_bytes, readable_seconds},
+};
+use serde::{Deserialize, Serialize};
+use tid3r_models::{
+    nn::{Precision, cpu::measured_peak_flops},
+    see3d::{
+        clip,
+        denoise::Halves,
+        unet::{self, Unet},
+        vae::{self, Tiling},
+    },
+};
+
+/// The share of the machine's best that the networks reach, by experience.
+const REACHED: f64 = 0.5;
+/// Taken by the program itself.
+const PROGRAM_BYTES: usize = 80_000_000;
+/// What a pixel of a frame takes as a picture, a tensor and a mask.
+const PIXEL_BYTES: usize = 32;
+/// Views at a time, if it is not said: the more, the better they agree, and time grows with their square.
+const GROUPS: [usize; 7] = [8, 6, 5, 4, 3, 2, 1];
+
+/// How memory is used, decided once for a rendering.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Plan {
+    /// Views of the main stage at a time.
+    pub(super) group: usize,
+    /// How much is held at once.
+    #[serde(flatten)]
+    pub(super) way: Way,
+}
+
+/// How much is held at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Way {
+    /// Whether the large network stays for the next group, or is read again.
+    pub(super) stays: bool,
+    /// Whether the network is asked with and without the condition one after the other.
+    pub(super) in_turn: bool,
+    /// Whether numbers of half precision stay what they are.
+    pub(super) compact: bool,
+    /// Side of the tiles in which pictures are encoded and decoded, in pixels, if they are smaller than
+    /// the original's.
+    pub(super) tile: Option<usize>,
+}
+
+/// From what is fast to what is small, the least harm first: the first three change time alone.
+const WAYS: [Way; 6] = [
+    way(true, false, false, None),
+    way(false, false, false, None),
+    way(false, true, false, None),
+    way(false, true, true, None),
+    way(false, true, true, Some(256)),
+    way(false, true, true, Some(128)),
+];
+
+const fn way(stays: bool, in_turn: bool, compact: bool, tile: Option<usize>) -> Way {
+    Way {
+        stays,
+        in_turn,
+        compact,
+        tile,
+    }
+}
+
+impl Way {
+    pub(super) fn halves(&self) -> Halves {
+        match self.in_turn {
+            true => Halves::InTurn,
+            false => Halves::Together,
+        }
+    }
+
+    pub(super) fn tiling(&self) -> Tiling {
+        self.tile.map_or(Tiling::Released, Tiling::Tiles)
+    }
+}
+
+impl Job<'_> {
+    /// The plan that fits into `limit` bytes, or into what is available, with the least harm.
+    ///
+    /// # Errors
+    /// When none does; the message says what would.
+    pub(super) fn plan(&self, limit: Option<u64>) -> Result<Plan> {
+        let limit = limit.or_else(available_memory).unwrap_or(u64::MAX);
+        let groups = match self.settings.group {
+            Some(group) => vec![group as usize],
+            None => GROUPS.to_vec(),
+        };
+        for &group in &groups {
+            for way in WAYS {
+                let plan = Plan { group, way };
+                if self.bytes(&plan)? <= limit {
+                    return Ok(plan);
+                }
+            }
+        }
+        let smallest = groups[groups.len() - 1];
+        self.refuse(smallest, limit)
+    }
+
+    /// Refuses a plan that was made before, if it does not fit now.
+    pub(super) fn check(&self, plan: &Plan, limit: Option<u64>) -> Result<()> {
+        let limit = limit.or_else(available_memory).unwrap_or(u64::MAX);
+        let bytes = self.bytes(plan)?;
+        if bytes <= limit {
+            return Ok(());
+        }
+        let problem = format!(
+            "these views were begun {} at a time, which needs {} of memory, and there may be {}",
+            plan.group,
+            readable_bytes(bytes),
+            readable_bytes(limit)
+        );
+        let remedy = format!(
+            "allow for {}, or begin again with --force",
+            readable_bytes(bytes)
+        );
+        Err(Error::request(problem, remedy))
+    }
+
+    /// The most memory that is taken at a time, in bytes, about.
+    pub(super) fn bytes(&self, plan: &Plan) -> Result<u64> {
+        let sum = || -> candle_core::Result<usize> {
+            let known = |error: Error| candle_core::Error::Msg(error.to_string());
+            let image = &self.weights.image_encoder_config().map_err(known)?.vision;
+            let text = self.weights.text_encoder_config().map_err(known)?;
+            let encoders = clip::Memory::of_vision(image)?
+                .total()
+                .max(clip::Memory::of_text(&text.text, text.empty_prompt.len())?.total());
+            let parts = self.parts(plan.group);
+            let mut most = encoders;
+            for stage in self.settings.stages() {
+                let frames = parts.iter().filter(|part| part.stage == stage);
+                let frames = frames
+                    .map(|part| part.frames(self.photos))
+                    .max()
+                    .unwrap_or(0);
+                most = most.max(self.stage_bytes(stage, frames, &plan.way)?);
+            }
+            Ok(PROGRAM_BYTES + most)
+        };
+        sum()
+            .map(|bytes| bytes as u64)
+            .map_err(|error| unknown(&network_problem(&error)))
+    }
+
+    fn stage_bytes(&self, stage: Stage, frames: usize, way: &Way) -> candle_core::Result<usize> {
+        let known = |error: Error| candle_core::Error::Msg(error.to_string());
+        let config = &self
+            .weights
+            .unet_config(stage, self.photos)
+            .map_err(known)?
+            .unet;
+        let groups = match way.halves() {
+            Halves::Together => self.settings.sampler(stage, Halves::Together).groups(),
+            Halves::InTurn => 1,
+        };
+        let latents = self.latents(stage);
+        let unet = unet::Memory::new(config, Precision::Exact, groups, frames, latents)?;
+        let numbers = Unet::tensors(config)?
+            .values()
+            .map(|shape| shape.iter().product::<usize>())
+            .sum();
+        let is_half = self
+            .weights
+            .unet_is_half(stage, self.photos, numbers)
+            .map_err(known)?;
+        let weights = if way.compact && is_half {
+            unet.weights / 2
+        } else {
+            unet.weights
+        };
+        let side = self.settings.side(stage) as usize;
+        let (vae, size) = (self.weights.vae_config().map_err(known)?, (side, side));
+        let encoding = vae::Memory::of_encoding(vae, size, way.tiling())?.total();
+        let decoding = vae::Memory::of_decoding(vae, size, way.tiling())?.total();
+        let others = encoding.max(decoding);
+        let most = match way.stays {
+            true => weights + unet.working.max(others),
+            false => (weights + unet.working).max(others),
+        };
+        Ok(most + frames * side * side * PIXEL_BYTES)
+    }
+
+    /// Says what does not fit, and the nearest that does.
+    fn refuse(&self, group: usize, limit: u64) -> Result<Plan> {
+        let least = |job: &Job, group: usize| -> Result<u64> {
+            let plans = WAYS.map(|way| job.bytes(&Plan { group, way }));
+            let mut least = u64::MAX;
+            for bytes in plans {
+                least = least.min(bytes?);
+            }
+            Ok(least)
+        };
+        let (side, photos) = (self.settings.size, self.photos);
+        let needed = readable_bytes(least(self, group)?);
+        let problem = format!(
+            "{} guided by {} at {side}x{side}{} need {needed} of memory, and there may be {}",
+            counted(group.min(self.views), "view"),
+            counted(photos, "photo"),
+            if self.settings.super_resolution {
+                " and twice that"
+            } else {
+                ""
+            },
+            readable_bytes(limit)
+        );
+        for fewer in (1..group).rev() {
+            if least(self, fewer)? <= limit {
+                return Err(Error::request(problem, format!("give --group {fewer}")));
+            }
+        }
+        for fewer in (1..photos).rev() {
+            let job = Job {
+                photos: fewer,
+                ..*self
+            };
+            if least(&job, 1)? <= limit {
+                let remedy = format!("give --references {fewer} and --group 1");
+                return Err(Error::request(problem, remedy));
+            }
+        }
+        for side in (64..side).step_by(64).rev() {
+            let settings = Settings {
+                size: side,
+                ..self.settings.clone()
+            };
+            let job = Job {
+                photos: 1,
+                settings: &settings,
+                ..*self
+            };
+            if least(&job, 1)? <= limit {
+                let remedy = format!("give --size {side}, --references 1 and --group 1");
+                return Err(Error::request(problem, remedy));
+            }
+        }
+        Err(Error::request(problem, format!("allow for {needed}")))
+    }
+
+    /// What the parts take, in words.
+    pub(super) fn estimate(&self, plan: &Plan, parts: &[&Part]) -> Result<String> {
+        let mut work = 0.0;
+        for part in parts {
+            work += self.work(part, plan.way.tiling())?;
+        }
+        let peak = measured_peak_flops(rayon::current_num_threads())
+            .map_err(|error| unknown(&network_problem(&error)))?;
+        let views = |stage: Stage| -> usize {
+            let of_stage = parts.iter().filter(|part| part.stage == stage);
+            of_stage.map(|part| part.targets.len()).sum()
+        };
+        let mut tasks = Vec::new();
+        for stage in self.settings.stages().filter(|&stage| views(stage) > 0) {
+            let (count, side) = (counted(views(stage), "view"), self.settings.side(stage));
+            tasks.push(match stage {
+                Stage::Main => format!(
+                    "{count} to complete at {side}x{side}, {} at a time, guided by {}",
+                    plan.group.min(self.views),
+                    counted(self.photos, "photo")
+                ),
+                Stage::SuperResolution => format!("{count} to complete once more at {side}x{side}"),
+            });
+        }
+        Ok(format!(
+            "{}; quality: {}; about {} and {}",
+            tasks.join(", "),
+            self.sampler()?,
+            readable_seconds(2.0 * work / (REACHED * peak)),
+            readable_bytes(self.bytes(plan)?)
+        ))
+    }
+}
+
+impl Plan {
+    /// What is done to fit into memory, in words, if anything is.
+    pub(super) fn concessions(&self) -> Option<String> {
+        let Way {
+            stays,
+            in_turn,
+            compact,
+            tile,
+        } = self.way;
+        let mut all = Vec::new();
+        if !stays {
+            all.push("the network is read again for each group".to_string());
+        }
+        if in_turn {
+            all.push("its halves run one after the other".into());
+        }
+        if compact {
+            all.push("weights stay in half precision if they are in it".into());
+        }
+        all.extend(tile.map(|side| format!("pictures are coded in tiles of {side} pixels")));
+        (!all.is_empty()).then(|| format!("so that memory suffices: {}", all.join(", ")))
+    }
+}
+
+fn counted(count: usize, what: &str) -> String {
+    let ending = if count == 1 { "" } else { "s" };
+    format!("{count} {what}{ending}")
+}

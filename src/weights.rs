@@ -1,0 +1,84 @@
+//! Weights that were found, on their way to becoming networks.
+
+use crate::{Error, error::network_problem};
+use candle_core::Device;
+use std::fmt::Display;
+use tid3r_models::Weights;
+use tid3r_weights_convert::{Config, Found};
+
+/// Whether weights are merely not there, rather than damaged.
+pub(crate) fn are_missing(error: &Error) -> bool {
+    matches!(
+        error,
+        Error::Request { .. } | Error::Weights(tid3r_weights_convert::Error::Request { .. })
+    )
+}
+
+/// The first error about weights that are damaged; else one that says all that are missing of the networks
+/// of `whose`.
+pub(crate) fn joined(whose: &str, mut errors: Vec<Error>) -> Error {
+    if let Some(damaged) = errors.iter().position(|error| !are_missing(error)) {
+        return errors.swap_remove(damaged);
+    }
+    if errors.len() == 1 {
+        return errors.swap_remove(0);
+    }
+    let all: Vec<String> = errors.iter().map(Error::to_string).collect();
+    Error::request(
+        format!(
+            "{} of {whose} networks are missing: {}",
+            all.len(),
+            all.join(" | ")
+        ),
+        "`tid3r weights list` shows what is here",
+    )
+}
+
+/// An error about weights that are there.
+pub(crate) fn damaged(found: &Found, problem: &dyn Display) -> Error {
+    Error::file(
+        &found.folder,
+        format!("the weights cannot be used: {problem}"),
+        "make them again with `tid3r weights convert`",
+    )
+}
+
+/// The weights themselves, mapped; if `compact`, to be kept in memory as they are in the file.
+pub(crate) fn open(found: &Found, compact: bool) -> Result<Weights, Error> {
+    let open = match compact {
+        true => Weights::open_compact,
+        false => Weights::open,
+    };
+    open(&found.weights, &Device::Cpu).map_err(|error| damaged(found, &network_problem(&error)))
+}
+
+/// Builds a network of all tensors of the weights that were found; `build` gives `None` for another
+/// network's configuration.
+pub(crate) fn network<N>(
+    found: &Found,
+    build: impl FnOnce(&Config, &Weights) -> Option<candle_core::Result<N>>,
+) -> Result<N, Error> {
+    let weights = open(found, false)?;
+    let network = part(found, &weights, build)?;
+    match weights.unused().first() {
+        None => Ok(network),
+        Some(name) => Err(damaged(
+            found,
+            &format!(
+                "the file holds {} tensors that the network does not have, {name} the first",
+                weights.unused().len()
+            ),
+        )),
+    }
+}
+
+/// Builds a network of some of the tensors.
+pub(crate) fn part<N>(
+    found: &Found,
+    weights: &Weights,
+    build: impl FnOnce(&Config, &Weights) -> Option<candle_core::Result<N>>,
+) -> Result<N, Error> {
+    build(&found.file.config, weights)
+        .ok_or_else(|| damaged(found, &format!("they are of {}", found.network.title)))?
+        .map_err(|error| damaged(found, &network_problem(&error)))
+}
