@@ -2,7 +2,7 @@
 
 use super::{
     job::{Job, Part, unknown},
-    stage::{Settings, Stage},
+    stage::{PRECISION, Settings, Stage},
 };
 use crate::{
     Error, Result,
@@ -11,7 +11,7 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 use tid3r_models::{
-    nn::{Precision, cpu::measured_peak_flops},
+    nn::cpu::measured_peak_flops,
     see3d::{
         clip,
         denoise::Halves,
@@ -166,7 +166,7 @@ impl Job<'_> {
             Halves::InTurn => 1,
         };
         let latents = self.latents(stage);
-        let unet = unet::Memory::new(config, Precision::Exact, groups, frames, latents)?;
+        let unet = unet::Memory::new(config, PRECISION, groups, frames, latents)?;
         let numbers = Unet::tensors(config)?
             .values()
             .map(|shape| shape.iter().product::<usize>())
