@@ -169,12 +169,16 @@ fn from_file(case: &Case) -> Result<Unet> {
     let entry = fs::read_dir(converted.folder())?.next();
     let name = entry.context("nothing was converted")??.file_name();
     match converted.network(&name.to_string_lossy())? {
-        (Converted::Unet(config), weights) => Ok(Unet::new(&config.unet, &weights)?),
+        (Converted::Unet(config), weights) => Ok(Unet::with_precision(
+            &config.unet,
+            Precision::Exact,
+            &weights,
+        )?),
         (other, _) => bail!("{other:?} is no UNet"),
     }
 }
 
-/// The whole network.
+/// The whole network. Convolutions are exact ones; pipelines are compared with those that users get.
 pub(crate) fn network(case: &Case, comparison: &mut Comparison) -> Result<()> {
     #[derive(Deserialize)]
     struct Call {
@@ -182,7 +186,7 @@ pub(crate) fn network(case: &Case, comparison: &mut Comparison) -> Result<()> {
     }
     let Call { num_frames } = case.config()?;
     let network = match case.source() {
-        Err(_) => Unet::new(&case.config()?, &case.weights()?)?,
+        Err(_) => Unet::with_precision(&case.config()?, Precision::Exact, &case.weights()?)?,
         Ok(_) => from_file(case)?,
     };
     let x = channels_last(case.input("x")?)?;

@@ -4,7 +4,7 @@ use candle_core::{Result, Tensor, bail};
 
 use super::inputs::Inputs;
 use super::solver::Solver;
-use super::{Conditions, Draw, Halves, Noise, Quality, Sampler, Variant};
+use super::{Conditions, Draw, Halves, Noise, Quality, Sampler, Variant, Warp};
 use crate::Observer;
 use crate::see3d::schedule::{Schedule, guided, rescaled};
 use crate::see3d::unet::{Context, Deep, Unet};
@@ -66,11 +66,14 @@ pub fn denoise(
     };
     let mut latents = drawn(Draw::Latents)?;
     let mut solver = Solver::new(schedule);
-    let mut warp = None;
+    let mut warp: Option<Tensor> = None;
     for (step, &timestep) in timesteps.iter().enumerate() {
-        let is_fresh = sampler.quality == Quality::Exact || step == 0;
-        if sampler.variant == Variant::Main && is_fresh {
-            warp = Some(drawn(Draw::Warp(step))?);
+        if sampler.variant == Variant::Main {
+            warp = Some(match (warp, sampler.warp(step)) {
+                (Some(noise), Warp::Same) => noise,
+                (Some(noise), Warp::Negated) => (noise * -1.0)?,
+                _ => drawn(Draw::Warp(step))?,
+            });
         }
         latents = run.inputs.clean(&latents)?;
         let output = run.output(&latents, warp.as_ref(), step, timestep)?;

@@ -212,7 +212,7 @@ fn without_guidance_the_network_is_asked_once() {
 
 #[test]
 fn progress_is_what_was_announced() {
-    let work = Work::new(&config(), Precision::Exact, 3, (4, 4));
+    let work = Work::new(&config(), Precision::Fast, 3, (4, 4));
     for (quality, steps, guidance) in [
         (Quality::Exact, 4, 2.0),
         (Quality::Exact, 4, 0.0),
@@ -234,18 +234,58 @@ fn progress_is_what_was_announced() {
 }
 
 #[test]
-fn the_fast_sampler_draws_once_and_comes_close_to_itself_with_many_steps() {
+fn few_steps_come_close_to_many() {
     let fast = |steps| {
-        run(
-            &sampler(Quality::Fast(Reuse::Never), steps),
-            &mut Unobserved,
-        )
+        let quality = Quality::Fast(Reuse::Never);
+        let own = Sampler {
+            quality,
+            steps,
+            ..Sampler::released(Variant::SuperResolution)
+        };
+        targets(&run(&own, &mut Unobserved).0)
     };
-    let (reference, draws) = fast(120);
-    assert_eq!(draws, [Draw::Latents, Draw::Warp(0)]);
-    let distance = |steps| largest_difference(&targets(&fast(steps).0), &targets(&reference));
-    let (few, more) = (distance(12), distance(30));
-    assert!(few < 0.1 && more < few / 2.0, "{few} {more}");
+    let reference = fast(150);
+    let [few, more] = [12, 36].map(|steps| largest_difference(&fast(steps), &reference));
+    assert!(few < 0.05 && more < few / 3.0, "{few} {more}");
+}
+
+#[test]
+fn fast_steps_use_a_draw_and_its_negative() {
+    for (reuse, drawn, signs) in [
+        (Reuse::Never, vec![0, 2, 4], [1.0, -1.0, 1.0, -1.0, 1.0]),
+        (
+            Reuse::EverySecond { split: 0 },
+            vec![0, 4],
+            [1.0, 1.0, -1.0, -1.0, 1.0],
+        ),
+    ] {
+        let mut seen = Seen::default();
+        let own = sampler(Quality::Fast(reuse), 5);
+        let (_, draws) = run(&own, &mut seen);
+        let warps = drawn.iter().map(|&step| Draw::Warp(step));
+        assert_eq!(
+            draws,
+            [Draw::Latents].into_iter().chain(warps).collect::<Vec<_>>()
+        );
+        let schedule = released();
+        for (step, timestep) in own.timesteps(&schedule).unwrap().into_iter().enumerate() {
+            let last = drawn
+                .iter()
+                .copied()
+                .filter(|&drawn| drawn <= step)
+                .max()
+                .unwrap();
+            let noise = (waves((3, 4, 4, 4), Draw::Warp(last)) * signs[step]).unwrap();
+            let input = targets(&seen.inputs[step].narrow(0, 0, 3).unwrap());
+            let latents = input.narrow(3, 0, 4).unwrap();
+            let projections = targets(&conditions().latents);
+            let mix = schedule
+                .warp_mix(&projections, &targets(&noise), &latents, timestep)
+                .unwrap();
+            let got = input.narrow(3, 4, 4).unwrap();
+            assert!(largest_difference(&got, &mix) < 1e-6, "{reuse:?} {step}");
+        }
+    }
 }
 
 #[test]

@@ -3,16 +3,18 @@
 use candle_core::Result;
 
 use super::plan::{Layer, Plan};
-use super::work::products;
+use super::work::is_winograd;
 use super::{Config, FeedForward, SpatialTransformer, Unet, Work};
-use crate::nn::Precision;
 
 /// Estimated peak of memory, in bytes, without what the program itself needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
     /// What stays from one call to the next: the weights, in f32 (mapped pages of the file, or a widened
-    /// copy), and those of convolutions once more, as they are laid out for the kernels.
+    /// copy), and those of some convolutions once more, as they are laid out for the kernels.
     pub weights: usize,
+    /// The same if a file in half precision is opened by
+    /// [`Weights::open_compact`](crate::Weights::open_compact).
+    pub compact_weights: usize,
     /// Everything else of a call: the maps that are alive at once where they take most.
     pub working: usize,
 }
@@ -29,19 +31,22 @@ impl Memory {
     /// If `config` cannot be.
     pub fn new(
         config: &Config,
-        precision: Precision,
         groups: usize,
         frames: usize,
         (height, width): (usize, usize),
     ) -> Result<Self> {
-        let (mut weights, mut kernels) = (0, 0);
+        const HALF: usize = 2;
+        let (mut weights, mut laid_out) = (0, 0);
         for (name, shape) in Unet::tensors(config)? {
             let count: usize = shape.iter().product();
             weights += count;
-            kernels += match shape[..] {
-                // Layers that halve a map have no other kernels than those of the file.
+            laid_out += match shape[..] {
+                // Layers that halve a map are no others.
                 [outputs, inputs, 3, 3] if !name.ends_with("op.weight") => {
-                    outputs * inputs * products(inputs, outputs, precision)
+                    match is_winograd(inputs, outputs) {
+                        true => 0,
+                        false => count,
+                    }
                 }
                 [_, _, _, _] => count,
                 _ => 0,
@@ -51,7 +56,8 @@ impl Memory {
         let map =
             |level: usize, channels: usize| batch * (height >> level) * (width >> level) * channels;
         Ok(Self {
-            weights: (weights + kernels) * Self::FLOAT,
+            weights: (weights + laid_out) * Self::FLOAT,
+            compact_weights: weights * HALF + laid_out * Self::FLOAT,
             working: peak(config, batch, &map) * Self::FLOAT + Self::SCRATCH,
         })
     }
@@ -107,8 +113,7 @@ fn of_layer(layer: Layer, level: usize, map: &dyn Fn(usize, usize) -> usize) -> 
         }
         Layer::Up { channels } => {
             let result = map(level - 1, channels);
-            // The input may be enlarged before it is convolved.
-            (map(level, channels) + 2 * result, result)
+            (map(level, channels) + result, result)
         }
         Layer::Transformer { channels } => {
             let result = map(level, channels);
@@ -124,21 +129,20 @@ mod tests {
     use super::*;
 
     fn memory(groups: usize, frames: usize, side: usize) -> Memory {
-        Memory::new(
-            &Config::released(),
-            Precision::Exact,
-            groups,
-            frames,
-            (side, side),
-        )
-        .unwrap()
+        Memory::new(&Config::released(), groups, frames, (side, side)).unwrap()
     }
 
     #[test]
     fn the_released_network() {
-        // 865.9 million weights; of 3x3 kernels, 16 numbers for 9 once more.
-        let weights = memory(1, 5, 64).weights as f64 / 4e6;
-        assert!((1700.0..1900.0).contains(&weights), "{weights}");
+        // 865.9 million weights; once more those of 1x1 convolutions (28 million), of those that halve a map
+        // (19.4 million) and of the first and the last one.
+        let skips = 320 * 640 + 640 * 1280 + 3 * 2560 * 1280 + 2 * 2560 * 1280 + 1920 * 1280;
+        let skips = skips + 1920 * 640 + 1280 * 640 + 960 * 640 + 960 * 320 + 2 * 640 * 320;
+        let halving = 9 * (320 * 320 + 640 * 640 + 1280 * 1280);
+        let laid_out = skips + halving + 9 * (9 + 4) * 320;
+        let memory_of = memory(1, 5, 64);
+        assert_eq!(memory_of.weights, 4 * (865_925_124 + laid_out));
+        assert_eq!(memory_of.compact_weights, 2 * 865_925_124 + 4 * laid_out);
         // Less than the original's, whose hidden layer exists for all frames at once: 1.2 GiB.
         let working = memory(2, 5, 64).working as f64 / f64::from(1 << 30);
         assert!((0.4..1.2).contains(&working), "{working}");

@@ -44,27 +44,22 @@ impl Work {
         (height, width): (usize, usize),
     ) -> Self {
         let plan = Plan::of(config);
-        let pixels = |level: usize| (frames * (height >> level) * (width >> level)) as f64;
+        let map = |level: usize| Map {
+            frames,
+            height: height >> level,
+            width: width >> level,
+        };
         let block = |block: &Block| {
             let layers = block.layers.iter();
-            let add =
-                |sum: LayerWork, layer| sum.plus(of_layer(layer, block.level, &pixels, precision));
-            layers.fold(LayerWork::default(), add)
+            let layers = layers.map(|layer| of_layer(layer, map(block.level), precision));
+            layers.fold(LayerWork::default(), LayerWork::plus)
         };
-        let contexts = plan
-            .transformer_channels()
-            .map(|channels| channels as f64)
-            .sum::<f64>();
+        let contexts = plan.transformer_channels().map(|channels| channels as f64);
         let row = (Self::CONTEXT_TOKENS * config.context_dim) as f64;
         Self {
             blocks: plan.blocks().map(block).collect(),
-            out: convolution(
-                config.model_channels,
-                config.out_channels,
-                pixels(0),
-                precision,
-            ),
-            context: 2.0 * row * contexts,
+            out: map(0).convolution(config.model_channels, config.out_channels, precision),
+            context: 2.0 * row * contexts.sum::<f64>(),
             inputs: plan.input.len(),
         }
     }
@@ -118,78 +113,103 @@ impl LayerWork {
     }
 }
 
-/// The work of a layer on a map that is halved `level` times; `pixels` of all frames at a level.
-fn of_layer(
-    layer: &Layer,
-    level: usize,
-    pixels: &dyn Fn(usize) -> f64,
-    precision: Precision,
-) -> LayerWork {
-    let here = pixels(level);
+/// The work of a layer on `map`.
+fn of_layer(layer: &Layer, map: Map, precision: Precision) -> LayerWork {
     match *layer {
-        Layer::Convolution { inputs, outputs } => convolution(inputs, outputs, here, precision),
+        Layer::Convolution { inputs, outputs } => map.convolution(inputs, outputs, precision),
         Layer::Residual { inputs, outputs } => {
             let skip = match inputs == outputs {
                 true => 0.0,
-                false => here * (inputs * outputs) as f64,
+                false => map.pixels() * (inputs * outputs) as f64,
             };
-            let of = LayerWork {
+            let skip = LayerWork {
                 convolutions: skip,
                 ..LayerWork::default()
             };
-            of.plus(convolution(inputs, outputs, here, precision))
-                .plus(convolution(outputs, outputs, here, precision))
+            skip.plus(map.convolution(inputs, outputs, precision))
+                .plus(map.convolution(outputs, outputs, precision))
         }
-        // Every second pixel of every second row: nothing is saved.
+        // At every second pixel of every second row nothing is saved.
         Layer::Down { channels } => LayerWork {
-            convolutions: pixels(level + 1) * (9 * channels * channels) as f64,
+            convolutions: map.pixels() / 4.0 * (9 * channels * channels) as f64,
             ..LayerWork::default()
         },
-        Layer::Up { channels } => convolution(channels, channels, pixels(level - 1), precision),
+        Layer::Up { channels } => {
+            let doubled = Map {
+                height: 2 * map.height,
+                width: 2 * map.width,
+                ..map
+            };
+            // Of two equal pixels, a fourth of an axis' products vanishes, or else tiles are large.
+            let work = doubled.convolution(channels, channels, precision);
+            LayerWork {
+                saved: work.saved.max(work.convolutions * 0.75),
+                ..work
+            }
+        }
         Layer::Transformer { channels } => {
             // In and out; q, k, v and out of the one attention, q and out of the other; three times the
             // hidden layer, which is made twice as wide and multiplied with itself.
             let products = 2 + 4 + 2 + 3 * FeedForward::WIDER;
-            let channels = channels as f64;
+            let (tokens, channels) = (map.pixels(), channels as f64);
             LayerWork {
-                linear: here * channels * channels * products as f64,
-                self_attention: 2.0 * here * here * channels,
-                cross_attention: 2.0 * here * Work::CONTEXT_TOKENS as f64 * channels,
+                linear: tokens * channels * channels * products as f64,
+                self_attention: 2.0 * tokens * tokens * channels,
+                cross_attention: 2.0 * tokens * Work::CONTEXT_TOKENS as f64 * channels,
                 ..LayerWork::default()
             }
         }
     }
 }
 
-/// A 3x3 convolution.
-fn convolution(inputs: usize, outputs: usize, pixels: f64, precision: Precision) -> LayerWork {
-    let convolutions = pixels * (9 * inputs * outputs) as f64;
-    LayerWork {
-        convolutions,
-        saved: convolutions * saved_share(inputs, outputs, precision),
-        ..LayerWork::default()
+/// Sizes of what a layer gets.
+#[derive(Clone, Copy)]
+struct Map {
+    frames: usize,
+    height: usize,
+    width: usize,
+}
+
+impl Map {
+    /// Of all frames.
+    fn pixels(self) -> f64 {
+        (self.frames * self.height * self.width) as f64
+    }
+
+    /// A 3x3 convolution on it.
+    fn convolution(self, inputs: usize, outputs: usize, precision: Precision) -> LayerWork {
+        let pairs = (inputs * outputs) as f64;
+        let convolutions = self.pixels() * 9.0 * pairs;
+        let saved = match is_winograd(inputs, outputs) {
+            true => convolutions - self.products(precision) * pairs,
+            false => 0.0,
+        };
+        LayerWork {
+            convolutions,
+            saved,
+            ..LayerWork::default()
+        }
+    }
+
+    /// The products of an input and an output by Winograd's algorithm: 16 for a tile of 2 x 2 outputs or, for
+    /// fast convolutions on all but the smallest maps, 36 for one of 4 x 4.
+    fn products(self, precision: Precision) -> f64 {
+        const SMALLEST: usize = 8;
+        let tiles = |side: usize| self.height.div_ceil(side) * self.width.div_ceil(side);
+        let is_large = precision == Precision::Fast && self.height.min(self.width) >= SMALLEST;
+        let of_frame = if is_large {
+            36 * tiles(4)
+        } else {
+            16 * tiles(2)
+        };
+        (self.frames * of_frame) as f64
     }
 }
 
-/// The share of a 3x3 convolution's products that Winograd's algorithm saves: 16 products for 4 outputs
-/// instead of 36, or 36 for 16 instead of 144.
-fn saved_share(inputs: usize, outputs: usize, precision: Precision) -> f64 {
-    match products(inputs, outputs, precision) {
-        9 => 0.0,
-        16 => 1.0 - 16.0 / 36.0,
-        _ => 1.0 - 36.0 / 144.0,
-    }
-}
-
-/// The numbers that a 3x3 convolution's kernels of 9 are laid out as.
-pub(super) fn products(inputs: usize, outputs: usize, precision: Precision) -> usize {
+/// Whether a 3x3 convolution of stride 1 is computed by Winograd's algorithm.
+pub(super) fn is_winograd(inputs: usize, outputs: usize) -> bool {
     const FEWEST_CHANNELS: usize = 32;
-    const MOST_LARGE: usize = 1 << 20;
-    match precision {
-        _ if inputs.min(outputs) < FEWEST_CHANNELS => 9,
-        Precision::Fast if inputs * outputs <= MOST_LARGE => 36,
-        _ => 16,
-    }
+    inputs.min(outputs) >= FEWEST_CHANNELS
 }
 
 #[cfg(test)]
@@ -248,8 +268,23 @@ mod tests {
             first.total() - first.convolutions * 5.0 / 9.0
         );
         assert_eq!(first.self_attention, 2.0 * pixels * pixels * 320.0);
+        // Outputs twice as large as the map: of 36 products for a tile, 9.
+        let map = Map {
+            frames: 2,
+            height: 8,
+            width: 12,
+        };
+        let up = of_layer(&Layer::Up { channels: 64 }, map, Precision::Exact);
+        assert_eq!(up.convolutions, (2 * 16 * 24 * 9 * 64 * 64) as f64);
+        assert_eq!(up.saved, 0.75 * up.convolutions);
         let fast = Work::new(&Config::released(), Precision::Fast, 2, (16, 24));
         assert_eq!(fast.blocks[1].saved, first.convolutions * 0.75);
+        // The middle block's maps of 2 x 3 pixels are two tiles of 16 products.
+        let middle = fast.blocks[12];
+        assert_eq!(
+            middle.convolutions - middle.saved,
+            (4 * 2 * 2 * 16 * 1280 * 1280) as f64
+        );
         assert_eq!(fast.total(), work.total());
     }
 

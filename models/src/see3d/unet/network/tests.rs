@@ -162,7 +162,7 @@ fn work_adds_up() {
     let network = network(&config);
     let context = network.context(&random(&[1, 5, 8])).unwrap();
     let x = random(&[4, 8, 4, 3]);
-    let work = Work::new(&config, Precision::Exact, 2, (8, 4));
+    let work = Work::new(&config, Precision::Fast, 2, (8, 4));
     let mut done = Done::default();
     let (_, deep) = network
         .forward_keeping(&x, &[1.0; 4], &context, 2, 1, &mut done)
