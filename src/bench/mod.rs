@@ -188,7 +188,10 @@ impl std::fmt::Display for Load {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let parts = [
             self.part.map(str::to_string),
-            self.views.map(|views| format!("{views} views")),
+            self.views.map(|views| match views {
+                1 => "1 view".to_string(),
+                _ => format!("{views} views"),
+            }),
             self.boxes.map(|boxes| format!("{boxes} boxes")),
             self.tokens.map(|tokens| format!("{tokens} tokens")),
             self.size.map(|size| size.to_string()),

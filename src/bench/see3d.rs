@@ -17,6 +17,8 @@ use tid3r_weights_convert::see3d::{ImageEncoderConfig, TextEncoderConfig, UnetCo
 
 /// Width and height of the pictures that See3D was trained on.
 const SIDE: usize = 512;
+/// How renders compute convolutions; the VAE's own choice is the same.
+const PRECISION: Precision = Precision::Fast;
 /// Pixels along each side for one latent.
 const SCALE: usize = 8;
 
@@ -33,7 +35,8 @@ pub(super) fn unet(
     let size = params.size.unwrap_or(Size::square(SIDE));
     let (width, height) = size.in_steps_of((SCALE * config.granularity()) as u32)?;
     let latents = (height / SCALE, width / SCALE);
-    let network = Rc::new(Unet::new(config, &source.weights()?).map_err(failed)?);
+    let network = Unet::with_precision(config, PRECISION, &source.weights()?);
+    let network = Rc::new(network.map_err(failed)?);
     let context = made_up(&[1, unet::Work::CONTEXT_TOKENS, config.context_dim])?;
     let context = network.context(&context).map_err(failed)?;
     let views = match params.views.is_empty() {
@@ -43,7 +46,7 @@ pub(super) fn unet(
     let trial = |&views: &u32| {
         let frames = views as usize;
         let frames_seen = made_up(&[frames, latents.0, latents.1, config.in_channels])?;
-        let work = unet::Work::new(config, Precision::Exact, frames, latents);
+        let work = unet::Work::new(config, PRECISION, frames, latents);
         let (network, context) = (Rc::clone(&network), context.clone());
         Ok(Trial {
             load: Load {

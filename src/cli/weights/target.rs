@@ -2,7 +2,7 @@ use super::size;
 use crate::cli::output;
 use anyhow::{Result, bail};
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use tid3r_weights_convert::{self as weights, Network, Places, Precision, Written};
 
 /// Where and how weights are written.
