@@ -127,7 +127,7 @@ impl Task for OneBox<'_> {
             PLACES * padded,
             rows * STRIDE,
             rows * (PLACES + S::MR) + MAX_LANES,
-            PLACES * S::MR + MAX_LANES,
+            KeyBlock::room::<S>(PLACES, 1),
             padded * width,
             padded,
             padded,
@@ -143,7 +143,7 @@ impl Task for OneBox<'_> {
             scores,
             weights,
             turned,
-            row_weights,
+            row_scores,
             sums,
             totals,
             greatest,
@@ -199,8 +199,8 @@ impl Task for OneBox<'_> {
                     dim: channels,
                 };
                 let q = &asked[first * channels..];
-                let room = [&mut *scores, &mut *row_weights];
-                block.attend(simd, q, &mut Rows::none(), room, first, &mut sums);
+                let panel = first..first + S::MR;
+                block.attend(simd, q, panel, &mut Rows::none(), row_scores, &mut sums);
             }
         }
         for (i, answer) in self.answers.chunks_exact_mut(channels).enumerate() {
@@ -255,7 +255,7 @@ impl Tokens<'_> {
                     let a = self.keys.as_ptr().add(first * channels);
                     let b = panels.as_ptr().add(place * channels);
                     let to = scores.as_mut_ptr().add(first * S::NR);
-                    simd.tile(channels, S::NR, a, b, to);
+                    simd.tile(channels, S::NR, a, b, to, S::NR);
                 }
             }
             for j in (0..S::NR).step_by(S::LANES) {
@@ -319,7 +319,7 @@ impl Tokens<'_> {
                 unsafe {
                     let a = turned.as_ptr().add(place * rows);
                     let b = self.values.as_ptr().add(column * rows);
-                    simd.tile(rows, channels - column, a, b, tile.as_mut_ptr());
+                    simd.tile(rows, channels - column, a, b, tile.as_mut_ptr(), S::NR);
                 }
                 for i in 0..S::MR.min(count - place) {
                     for j in (column..channels.min(column + S::NR)).step_by(S::LANES) {

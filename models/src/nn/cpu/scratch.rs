@@ -6,6 +6,8 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError};
 
+use super::shared::prefer_large_pages;
+
 /// A cache line. Buffers are made of these so that vectors never straddle two lines.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
@@ -16,10 +18,15 @@ static POOL: Mutex<Vec<Vec<Line>>> = Mutex::new(Vec::new());
 
 const KEPT: usize = 64;
 
+/// Lines that a buffer may have more than are wanted.
+const SPARE: usize = 1 << 12;
+
 /// Numbers that are whatever the last user left, aligned to 64 bytes.
 pub(super) struct Scratch {
     lines: Vec<Line>,
     len: usize,
+    /// Whether the memory is kept.
+    pooled: bool,
 }
 
 impl Scratch {
@@ -28,12 +35,24 @@ impl Scratch {
         let wanted = len.div_ceil(16);
         let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
         let best = (0..pool.len())
-            .filter(|&i| pool[i].len() >= wanted)
+            .filter(|&i| (wanted..=2 * wanted + SPARE).contains(&pool[i].len()))
             .min_by_key(|&i| pool[i].len());
         let lines = best.map(|i| pool.swap_remove(i));
         drop(pool);
-        let lines = lines.unwrap_or_else(|| vec![Line([0.0; 16]); wanted]);
-        Self { lines, len }
+        Self {
+            lines: lines.unwrap_or_else(|| fresh(wanted)),
+            len,
+            pooled: true,
+        }
+    }
+
+    /// `len` numbers, 0 at first, in memory of their own: for what stays.
+    pub(super) fn own(len: usize) -> Self {
+        Self {
+            lines: fresh(len.div_ceil(16)),
+            len,
+            pooled: false,
+        }
     }
 
     /// Room for several parts, each on lines of its own.
@@ -52,8 +71,19 @@ impl Scratch {
     }
 }
 
+/// Zeros.
+fn fresh(count: usize) -> Vec<Line> {
+    let mut lines = Vec::with_capacity(count);
+    prefer_large_pages(lines.as_mut_ptr(), count);
+    lines.resize(count, Line([0.0; 16]));
+    lines
+}
+
 impl Drop for Scratch {
     fn drop(&mut self) {
+        if !self.pooled {
+            return;
+        }
         let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
         pool.push(std::mem::take(&mut self.lines));
         if pool.len() > KEPT {
@@ -91,5 +121,6 @@ mod tests {
         assert!(a.iter().all(|&x| x == 1.0) && a.len() == 17);
         assert_eq!(a.as_ptr().align_offset(64), 0);
         assert!(Scratch::take(0).is_empty());
+        assert!(Scratch::own(33).iter().all(|&x| x == 0.0));
     }
 }

@@ -34,8 +34,37 @@ pub(super) unsafe fn filled<E>(
     fill: impl FnOnce(*mut f32) -> Result<(), E>,
 ) -> Result<Vec<f32>, E> {
     let mut values = Vec::with_capacity(len);
+    prefer_large_pages(values.as_mut_ptr(), len);
     fill(values.as_mut_ptr())?;
     // SAFETY: `fill` wrote them, as the caller promises.
     unsafe { values.set_len(len) };
     Ok(values)
 }
+
+/// Asks the system to back `len` elements, which nobody has written yet, with large pages. Handing out large
+/// arrays page by page takes longer than filling them.
+#[cfg(target_os = "linux")]
+pub(super) fn prefer_large_pages<T>(start: *mut T, len: usize) {
+    /// Bytes of a page, at least.
+    const PAGE: usize = 1 << 12;
+    /// Bytes for which it pays.
+    const LARGE: usize = 1 << 22;
+    let bytes = len * size_of::<T>();
+    if bytes >= LARGE {
+        let start = start.cast::<u8>();
+        let offset = start.align_offset(PAGE);
+        // SAFETY: this changes nothing but how memory, which is this array's, is backed. Where it is
+        // refused, it is backed as always.
+        unsafe {
+            libc::madvise(
+                start.wrapping_add(offset).cast(),
+                bytes - offset,
+                libc::MADV_HUGEPAGE,
+            );
+        }
+    }
+}
+
+/// Only Linux is asked.
+#[cfg(not(target_os = "linux"))]
+pub(super) fn prefer_large_pages<T>(_start: *mut T, _len: usize) {}

@@ -156,7 +156,7 @@ impl Layer {
             unsafe {
                 let a = self.panels.as_ptr().add(first * self.inputs);
                 let to = to.as_mut_ptr().add(first * S::NR);
-                simd.tile(self.inputs, S::NR, a, from.as_ptr(), to);
+                simd.tile(self.inputs, S::NR, a, from.as_ptr(), to, S::NR);
             }
         }
     }

@@ -108,7 +108,8 @@ impl Bias<'_> {
                                 q.as_ptr().add(first * dim),
                                 packed.as_ptr().add(column * dim),
                             );
-                            simd.tile(dim, count - column, q, table, tile.as_mut_ptr());
+                            let tile = tile.as_mut_ptr();
+                            simd.tile(dim, count - column, q, table, tile, S::NR);
                         }
                         for (i, row) in tile.chunks_exact(S::NR).enumerate().take(S::MR) {
                             products[(first + i) * stride + column..][..S::NR].copy_from_slice(row);

@@ -1,14 +1,19 @@
 //! What one thread does for one head.
 
+use std::ops::Range;
+
 use super::super::gemm::pack_lines;
 use super::super::isa::Task;
 use super::super::math::exp2;
 use super::super::scratch::Scratch;
-use super::super::simd::{MAX_LANES, MAX_TILE, Simd};
+use super::super::simd::{MAX_LANES, MAX_TILE, Piece, Simd};
 use super::bias::{Bias, Rows};
 
 /// Keys of a block, at most: their packed keys and values stay in the second cache.
-const KEYS: usize = 512;
+const KEYS: usize = 256;
+/// Queries that attend to a block together, about: a panel of keys or values is in the first cache for
+/// all of them.
+const TOGETHER: usize = 28;
 
 /// Some queries of one head, and all its keys and values.
 ///
@@ -44,12 +49,12 @@ impl Task for Head<'_> {
         let width = dim.next_multiple_of(S::NR);
         // Blocks of about the same size, whole panels but for the last.
         let most = keys.div_ceil(keys.div_ceil(KEYS)).next_multiple_of(S::NR);
+        let together = (TOGETHER / S::MR).max(1);
         let sizes = [
             queries * dim,
             most * dim,
             most * width,
-            most * S::MR,
-            most * S::MR + MAX_LANES,
+            KeyBlock::room::<S>(most, together),
             queries * width,
             queries,
             queries,
@@ -63,7 +68,7 @@ impl Task for Head<'_> {
             rest = others;
             part
         };
-        let [q, k, v, scores, weights, values, totals, greatest] = sizes.map(&mut part);
+        let [q, k, v, scores, values, totals, greatest] = sizes.map(&mut part);
         let bias_room = bias_sizes.map(&mut part);
         values.fill(0.0);
         totals.fill(0.0);
@@ -83,7 +88,8 @@ impl Task for Head<'_> {
                 pack_lines(simd, |i| memory[i][0], memory.len(), dim, S::NR, k);
                 pack_values(simd, memory, dim, v);
             }
-            for first in (0..queries).step_by(S::MR) {
+            for first in (0..queries).step_by(together * S::MR) {
+                let some = first..(first + together * S::MR).min(queries);
                 let block = KeyBlock {
                     k,
                     v,
@@ -91,8 +97,7 @@ impl Task for Head<'_> {
                     keys: memory.len(),
                     dim,
                 };
-                let room = [&mut *scores, &mut *weights];
-                block.attend(simd, &q[first * dim..], &mut bias, room, first, &mut sums);
+                block.attend(simd, &q[first * dim..], some, &mut bias, scores, &mut sums);
             }
         }
         for (i, &out) in self.out.iter().enumerate() {
@@ -142,121 +147,137 @@ pub(in crate::nn::cpu) struct KeyBlock<'a> {
     pub(in crate::nn::cpu) dim: usize,
 }
 
+/// Distance of the scores of one query from the next one's.
+fn row_size<S: Simd>(keys: usize) -> usize {
+    // A vector more, so that rows do not fall into the same set of a cache.
+    keys.next_multiple_of(S::NR) + MAX_LANES
+}
+
 impl KeyBlock<'_> {
-    /// Lets the panel of queries `q`, of which `first` is the first, attend to these keys.
-    ///
-    /// There is room for `scores`, a tile for each panel of keys, and for `weights`, as many numbers
-    /// and a vector.
+    /// How many scores [`Self::attend`] wants room for.
+    pub(in crate::nn::cpu) fn room<S: Simd>(keys: usize, panels: usize) -> usize {
+        panels * S::MR * row_size::<S>(keys)
+    }
+
+    /// Lets `queries` (whole panels) attend to these keys; `q` are their panels, and there is room for
+    /// `scores`.
     #[inline(always)]
     pub(in crate::nn::cpu) fn attend<S: Simd>(
         &self,
         simd: S,
         q: &[f32],
+        queries: Range<usize>,
         bias: &mut Rows<'_>,
-        [scores, weights]: [&mut [f32]; 2],
-        first: usize,
+        scores: &mut [f32],
         sums: &mut Sums<'_>,
     ) {
         let Self { keys, dim, .. } = *self;
-        let (mr, nr) = (S::MR, S::NR);
+        let (mr, nr, row) = (S::MR, S::NR, row_size::<S>(keys));
         let padded = keys.next_multiple_of(nr);
-        assert!(q.len() >= mr * dim && self.k.len() >= padded * dim);
-        assert!(scores.len() >= padded * mr && weights.len() >= padded * mr + S::LANES);
-        assert!(
-            self.v.len() >= keys * sums.width && sums.values.len() >= (first + mr) * sums.width
-        );
+        assert!(q.len() >= queries.len() * dim && self.k.len() >= padded * dim);
+        assert!(queries.len().is_multiple_of(mr) && scores.len() >= queries.len() * row);
+        assert!(self.v.len() >= keys * sums.width);
+        assert!(sums.values.len() >= queries.end * sums.width);
         for key in (0..keys).step_by(nr) {
-            // SAFETY: panels and tiles are inside, as asserted.
-            unsafe {
-                let (k, to) = (
-                    self.k.as_ptr().add(key * dim),
-                    scores.as_mut_ptr().add(key * mr),
-                );
-                simd.tile(dim, keys - key, q.as_ptr(), k, to);
+            for first in (0..queries.len()).step_by(mr) {
+                // SAFETY: panels and rows are inside, as asserted.
+                unsafe {
+                    let (q, k) = (q.as_ptr().add(first * dim), self.k.as_ptr().add(key * dim));
+                    let to = scores.as_mut_ptr().add(first * row + key);
+                    simd.tile(dim, keys - key, q, k, to, row);
+                }
             }
         }
-        for row in scores[(padded - nr) * mr..padded * mr].chunks_exact_mut(nr) {
-            row[nr - (padded - keys)..].fill(f32::NEG_INFINITY);
+        for (query, scores) in queries.clone().zip(scores.chunks_exact_mut(row)) {
+            let scores = &mut scores[..padded];
+            scores[keys..].fill(f32::NEG_INFINITY);
+            let bias = bias.get(simd, query, self.start, keys);
+            self.weigh(simd, query, scores, bias, sums);
         }
-        // Vector `i` of the scores of keys from `key` on, a multiple of the lanes.
-        let at = |key: usize, i: usize| key / nr * nr * mr + i * nr + key % nr;
-        let scores = scores.as_mut_ptr();
-        let root = (dim as f32).sqrt();
-        let unit = std::f32::consts::LOG2_E / root;
-        let mut offsets = [simd.splat(0.0); MAX_LANES];
-        let mut totals = offsets;
-        for (i, offset) in offsets.iter_mut().enumerate().take(mr) {
-            let mut most = simd.splat(f32::NEG_INFINITY);
-            match bias.get(simd, first + i, self.start, keys) {
-                None => {
-                    for key in (0..keys).step_by(S::LANES) {
-                        // SAFETY: inside of the tiles.
-                        most = simd.max(most, unsafe { simd.load(scores.add(at(key, i))) });
-                    }
+        let piece = [Piece {
+            index: 0,
+            start: 0,
+            length: keys,
+        }];
+        let mut tile = [0.0; MAX_TILE];
+        for column in (0..dim).step_by(nr) {
+            for first in (0..queries.len()).step_by(mr) {
+                let mut rows = [scores.as_ptr(); MAX_LANES];
+                for (i, pointer) in rows.iter_mut().enumerate().take(mr) {
+                    *pointer = pointer.wrapping_add((first + i) * row);
                 }
-                Some(bias) => {
-                    assert!(bias.len() == keys);
-                    for key in (0..keys).step_by(S::LANES) {
-                        let count = S::LANES.min(keys - key);
-                        // SAFETY: inside of the tiles; `count` keys are left.
+                // SAFETY: the rows and the panel of values are inside, as asserted.
+                unsafe {
+                    let v = self.v.as_ptr().add(column * keys);
+                    let to = tile.as_mut_ptr();
+                    simd.tile_of_pieces(&piece, dim - column, rows.as_ptr(), v, to);
+                }
+                for i in 0..mr {
+                    let query = queries.start + first + i;
+                    let to = &mut sums.values[query * sums.width + column..][..nr];
+                    for j in (0..nr.min(dim - column)).step_by(S::LANES) {
+                        let to = &mut to[j..j + S::LANES];
+                        // SAFETY: a vector in each.
                         unsafe {
-                            let to = scores.add(at(key, i));
-                            let bias = simd.load_up_to(bias.as_ptr().add(key), count);
-                            let score = simd.fma(bias, simd.splat(root), simd.load(to));
-                            simd.store(to, score);
-                            most = simd.max(most, score);
+                            let sum = simd.load(tile.as_ptr().add(i * nr + j));
+                            simd.store(to.as_mut_ptr(), simd.add(simd.load(to.as_ptr()), sum));
                         }
                     }
                 }
             }
-            let before = sums.greatest[first + i];
-            let now = before.max(simd.greatest(most) * unit);
-            let shrink = (before - now).exp2();
-            *offset = simd.splat(-now);
-            sums.greatest[first + i] = now;
-            sums.weights[first + i] *= shrink;
-            if shrink != 1.0 {
-                for x in &mut sums.values[(first + i) * sums.width..][..sums.width] {
-                    *x *= shrink;
+        }
+    }
+
+    /// Turns the products of `query` with the keys (whole vectors) into weights against the greatest score
+    /// so far, and rescales what was summed before if that is a new one.
+    #[inline(always)]
+    fn weigh<S: Simd>(
+        &self,
+        simd: S,
+        query: usize,
+        scores: &mut [f32],
+        bias: Option<&[f32]>,
+        sums: &mut Sums<'_>,
+    ) {
+        let root = (self.dim as f32).sqrt();
+        let unit = std::f32::consts::LOG2_E / root;
+        let mut most = [simd.splat(f32::NEG_INFINITY); 2];
+        if let Some(bias) = bias {
+            let parts = bias.chunks(S::LANES).zip(scores.chunks_exact_mut(S::LANES));
+            for (bias, scores) in parts {
+                // SAFETY: as long as the slices are.
+                unsafe {
+                    let bias = simd.load_up_to(bias.as_ptr(), bias.len());
+                    let score = simd.fma(bias, simd.splat(root), simd.load(scores.as_ptr()));
+                    simd.store(scores.as_mut_ptr(), score);
                 }
             }
         }
-        for key in (0..keys).step_by(S::LANES) {
-            let mut block = [simd.splat(0.0); MAX_LANES];
-            for i in 0..mr {
-                // SAFETY: inside of the tiles.
-                let score = unsafe { simd.load(scores.add(at(key, i))) };
-                block[i] = exp2(simd, simd.fma(score, simd.splat(unit), offsets[i]));
-                totals[i] = simd.add(totals[i], block[i]);
-            }
-            simd.transpose(&mut block);
-            for (j, &column) in block.iter().enumerate().take(S::LANES) {
-                // SAFETY: of a vector, the first `mr` lanes are kept: the others are overwritten by
-                // what follows, or in the reserve at the end.
-                unsafe { simd.store(weights.as_mut_ptr().add((key + j) * mr), column) };
+        for (i, scores) in scores.chunks_exact(S::LANES).enumerate() {
+            // SAFETY: a vector.
+            most[i % 2] = simd.max(most[i % 2], unsafe { simd.load(scores.as_ptr()) });
+        }
+        let before = sums.greatest[query];
+        let now = before.max(simd.greatest(simd.max(most[0], most[1])) * unit);
+        let shrink = (before - now).exp2();
+        sums.greatest[query] = now;
+        if shrink != 1.0 {
+            sums.weights[query] *= shrink;
+            for x in &mut sums.values[query * sums.width..][..sums.width] {
+                *x *= shrink;
             }
         }
-        for (sum, &total) in sums.weights[first..].iter_mut().zip(&totals).take(mr) {
-            *sum += simd.sum(total);
-        }
-        let mut tile = [0.0; MAX_TILE];
-        for column in (0..dim).step_by(nr) {
-            // SAFETY: the panel of values is inside, as asserted.
+        let (unit, offset) = (simd.splat(unit), simd.splat(-now));
+        let mut totals = [simd.splat(0.0); 2];
+        for (i, scores) in scores.chunks_exact_mut(S::LANES).enumerate() {
+            // SAFETY: a vector.
             unsafe {
-                let v = self.v.as_ptr().add(column * keys);
-                simd.tile(keys, dim - column, weights.as_ptr(), v, tile.as_mut_ptr());
-            }
-            for i in 0..mr {
-                let to = &mut sums.values[(first + i) * sums.width + column..][..nr];
-                for j in (0..nr.min(dim - column)).step_by(S::LANES) {
-                    let to = &mut to[j..j + S::LANES];
-                    // SAFETY: a vector in each.
-                    unsafe {
-                        let sum = simd.load(tile.as_ptr().add(i * nr + j));
-                        simd.store(to.as_mut_ptr(), simd.add(simd.load(to.as_ptr()), sum));
-                    }
-                }
+                let score = simd.load(scores.as_ptr());
+                let weight = exp2(simd, simd.fma(score, unit, offset));
+                totals[i % 2] = simd.add(totals[i % 2], weight);
+                simd.store(scores.as_mut_ptr(), weight);
             }
         }
+        sums.weights[query] += simd.sum(simd.add(totals[0], totals[1]));
     }
 }

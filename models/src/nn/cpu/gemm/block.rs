@@ -102,7 +102,10 @@ impl Task for Block<'_> {
                 let b = self.b.skip(column / S::NR).as_ptr();
                 // SAFETY: by the contract of `Block::run`, panels have that depth; a tile is at most
                 // `MAX_TILE` numbers.
-                unsafe { simd.tile(self.depth, self.columns - column, a, b, tile.0.as_mut_ptr()) };
+                unsafe {
+                    let to = tile.0.as_mut_ptr();
+                    simd.tile(self.depth, self.columns - column, a, b, to, S::NR);
+                }
                 let rows = S::MR.min(self.rows - row);
                 let columns = S::NR.min(self.columns - column);
                 let c = |i: usize| self.c.wrapping_add((row + i) * self.stride + column);

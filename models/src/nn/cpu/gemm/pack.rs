@@ -32,7 +32,7 @@ impl PackedFactor {
     pub(in crate::nn::cpu) fn pack_for(isa: Isa, factor: Factor<'_>) -> Self {
         let (depth, columns) = (factor.depth(), factor.columns());
         let (_, nr) = isa.tile();
-        let mut data = Scratch::take(columns.next_multiple_of(nr) * depth);
+        let mut data = Scratch::own(columns.next_multiple_of(nr) * depth);
         pack_factor(isa, factor, 0..columns, 0..depth, &mut data);
         Self {
             isa,

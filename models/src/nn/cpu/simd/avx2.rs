@@ -88,6 +88,15 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
+    fn scale_normal(self, a: V, n: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
+        unsafe {
+            let n = _mm256_slli_epi32::<23>(_mm256_cvtps_epi32(n));
+            _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(a), n))
+        }
+    }
+
+    #[inline(always)]
     fn if_less(self, a: V, b: V, then: V, otherwise: V) -> V {
         // SAFETY: `self` is proof of the instructions.
         unsafe { _mm256_blendv_ps(otherwise, then, _mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) }
@@ -193,12 +202,13 @@ impl Simd for Avx2 {
         a: *const f32,
         b: *const f32,
         out: *mut f32,
+        stride: usize,
     ) {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe {
             match columns <= Self::LANES {
-                true => tile::<Self, 6, 1>(self, depth, a, b, out),
-                false => tile::<Self, 6, 2>(self, depth, a, b, out),
+                true => tile::<Self, 6, 1>(self, depth, a, b, out, stride),
+                false => tile::<Self, 6, 2>(self, depth, a, b, out, stride),
             }
         }
     }

@@ -182,12 +182,13 @@ impl Simd for Avx512 {
         a: *const f32,
         b: *const f32,
         out: *mut f32,
+        stride: usize,
     ) {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe {
             match columns <= Self::LANES {
-                true => tile::<Self, 14, 1>(self, depth, a, b, out),
-                false => tile::<Self, 14, 2>(self, depth, a, b, out),
+                true => tile::<Self, 14, 1>(self, depth, a, b, out, stride),
+                false => tile::<Self, 14, 2>(self, depth, a, b, out, stride),
             }
         }
     }

@@ -121,6 +121,12 @@ pub(super) trait Simd: Copy {
     fn round(self, a: Self::V) -> Self::V;
     /// `a` times 2 to the power of the integer `n`; `n` within -252 to 254.
     fn scale(self, a: Self::V, n: Self::V) -> Self::V;
+    /// As [`Self::scale`], where neither `a` nor the result is zero, infinite or smaller than normal numbers
+    /// are.
+    #[inline(always)]
+    fn scale_normal(self, a: Self::V, n: Self::V) -> Self::V {
+        self.scale(a, n)
+    }
     /// `then` where `a < b`, `otherwise` elsewhere.
     fn if_less(self, a: Self::V, b: Self::V, then: Self::V, otherwise: Self::V) -> Self::V;
     /// The sum of all lanes, in an order that is always the same.
@@ -169,13 +175,21 @@ pub(super) trait Simd: Copy {
     fn transpose(self, rows: &mut [Self::V; MAX_LANES]);
 
     /// `out[i][j] = sum over p < depth of a[p][i] b[p][j]`, where rows of `a` have [`Self::MR`]
-    /// numbers, those of `b` and `out` [`Self::NR`]. Products are added in the order of `p`. Of the
-    /// columns, the first `columns` (at least) are computed.
+    /// numbers, those of `b` [`Self::NR`], and those of `out` are `stride` apart. Products are added in the
+    /// order of `p`. Of the columns, the first `columns` (at least) are computed, up to [`Self::NR`].
     ///
     /// # Safety
     ///
     /// `a` and `b` can be read and `out` written to those sizes.
-    unsafe fn tile(self, depth: usize, columns: usize, a: *const f32, b: *const f32, out: *mut f32);
+    unsafe fn tile(
+        self,
+        depth: usize,
+        columns: usize,
+        a: *const f32,
+        b: *const f32,
+        out: *mut f32,
+        stride: usize,
+    );
 
     /// As [`Self::tile`], with a depth that is `pieces` one after the other: the numbers of row `i` in
     /// the piece of an index are at `a[index * MR + i]`.
@@ -270,6 +284,7 @@ unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
     mut a: *const f32,
     mut b: *const f32,
     out: *mut f32,
+    stride: usize,
 ) {
     let mut sums = [[simd.splat(0.0); NV]; MR];
     for _ in 0..depth {
@@ -290,8 +305,8 @@ unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
     }
     for (i, row) in sums.iter().enumerate() {
         for (j, &sum) in row.iter().enumerate() {
-            // SAFETY: the caller lets `MR * NR` numbers be written at `out`.
-            unsafe { simd.store(out.add(i * S::NR + j * S::LANES), sum) };
+            // SAFETY: the caller lets the columns of `MR` rows be written at `out`.
+            unsafe { simd.store(out.add(i * stride + j * S::LANES), sum) };
         }
     }
 }

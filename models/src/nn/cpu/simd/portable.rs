@@ -178,9 +178,10 @@ impl Simd for Portable {
         a: *const f32,
         b: *const f32,
         out: *mut f32,
+        stride: usize,
     ) {
         // SAFETY: as the caller promises.
-        unsafe { tile::<Self, 4, 1>(self, depth, a, b, out) }
+        unsafe { tile::<Self, 4, 1>(self, depth, a, b, out, stride) }
     }
 
     #[inline(always)]
