@@ -2,7 +2,7 @@
 
 use super::{
     job::{Job, Part, unknown},
-    stage::{PRECISION, Settings, Stage},
+    stage::{Settings, Stage},
 };
 use crate::{
     Error, Result,
@@ -166,7 +166,7 @@ impl Job<'_> {
             Halves::InTurn => 1,
         };
         let latents = self.latents(stage);
-        let unet = unet::Memory::new(config, PRECISION, groups, frames, latents)?;
+        let unet = unet::Memory::new(config, groups, frames, latents)?;
         let numbers = Unet::tensors(config)?
             .values()
             .map(|shape| shape.iter().product::<usize>())
@@ -175,10 +175,9 @@ impl Job<'_> {
             .weights
             .unet_is_half(stage, self.photos, numbers)
             .map_err(known)?;
-        let weights = if way.compact && is_half {
-            unet.weights / 2
-        } else {
-            unet.weights
+        let weights = match way.compact && is_half {
+            true => unet.compact_weights,
+            false => unet.weights,
         };
         let side = self.settings.side(stage) as usize;
         let (vae, size) = (self.weights.vae_config().map_err(known)?, (side, side));

@@ -269,7 +269,7 @@ fn little_memory_comes_to_the_same_pictures() {
     see3d.max_memory = Some(limit);
     for ((little, story), (ample, _)) in rendered_by(&see3d, 2).iter().zip(&ample) {
         assert_eq!(little.picture, ample.picture);
-        assert_eq!(story.details["tile"], serde_json::Value::Null);
+        assert_eq!(story.details["tile"], Value::Null);
     }
 }
 
