@@ -52,13 +52,14 @@ pub(crate) fn open(found: &Found, compact: bool) -> Result<Weights, Error> {
     open(&found.weights, &Device::Cpu).map_err(|error| damaged(found, &network_problem(&error)))
 }
 
-/// Builds a network of all tensors of the weights that were found; `build` gives `None` for another
-/// network's configuration.
+/// Builds a network of all tensors of the weights that were found, opened as `compact` says; `build` gives
+/// `None` for another network's configuration.
 pub(crate) fn network<N>(
     found: &Found,
+    compact: bool,
     build: impl FnOnce(&Config, &Weights) -> Option<candle_core::Result<N>>,
 ) -> Result<N, Error> {
-    let weights = open(found, false)?;
+    let weights = open(found, compact)?;
     let network = part(found, &weights, build)?;
     match weights.unused().first() {
         None => Ok(network),

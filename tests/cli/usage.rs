@@ -108,6 +108,7 @@ fn wrong_usage_has_an_exit_code_of_its_own() {
         "render scene --point-size 0",
         "render scene --point-size nan",
         "render scene --steps 0",
+        "render scene --orbit --views 0",
         "render scene --between a",
         "render scene --refine best",
         "edit scene",

@@ -34,7 +34,8 @@ struct CaseFile {
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum WeightsOf {
-    SyntheticSeed(u64),
+    /// `None` where nothing has weights.
+    SyntheticSeed(Option<u64>),
     File(PathBuf),
 }
 
@@ -155,7 +156,10 @@ impl Case {
     /// The weights: synthetic ones whatever their names, or those of a checkpoint, converted.
     pub(crate) fn weights(&self) -> Result<Weights> {
         match &self.file.weights {
-            &WeightsOf::SyntheticSeed(seed) => synthetic(&self.file.config, seed),
+            &WeightsOf::SyntheticSeed(seed) => {
+                let seed = seed.context("the case has no weights")?;
+                synthetic(&self.file.config, seed)
+            }
             WeightsOf::File(_) => {
                 let folder = tempfile::tempdir()?;
                 let source = self.source()?;
@@ -217,7 +221,10 @@ impl Case {
     /// others, with the gains of that part.
     pub(crate) fn weights_of(&self, part: &str) -> Result<Weights> {
         match self.file.weights {
-            WeightsOf::SyntheticSeed(seed) => synthetic(&self.file.config[part], seed),
+            WeightsOf::SyntheticSeed(seed) => {
+                let seed = seed.context("the case has no weights")?;
+                synthetic(&self.file.config[part], seed)
+            }
             WeightsOf::File(_) => bail!("the weights of `{part}` are in a file"),
         }
     }

@@ -1,19 +1,17 @@
 use super::{
     PIXELS_PER_LATENT, Quality, See3dWeights,
     grouping::{main_groups, super_resolution_groups},
-    stage::{Settings, Stage},
+    plan::Way,
+    stage::{PRECISION, Settings, Stage},
 };
 use crate::{Error, Result, error::network_problem};
 use serde_json::{Value, json};
 use std::ops::Range;
-use tid3r_models::{
-    nn::Precision,
-    see3d::{
-        denoise::Halves,
-        schedule::Schedule,
-        unet,
-        vae::{self, Tiling},
-    },
+use tid3r_models::see3d::{
+    denoise::Halves,
+    schedule::Schedule,
+    unet,
+    vae::{self, Tiling},
 };
 
 /// Everything that views go through: which of them together, in which order, and how much that is.
@@ -46,15 +44,16 @@ impl Part {
         photos + self.carried.len() + self.targets.len()
     }
 
-    /// What its pictures depend on besides what its views show, by `unet`.
-    pub(super) fn description(&self, unet: Value, tile: Option<usize>) -> Value {
+    /// What its pictures depend on besides what its views show.
+    pub(super) fn description(&self, unet: Value, way: &Way) -> Value {
         json!({
             "stage": self.stage,
             "number": self.number,
             "carried": self.carried,
             "views": self.targets,
             "unet": unet,
-            "tile": tile,
+            "compact": way.compact,
+            "tile": way.tile,
         })
     }
 }
@@ -106,7 +105,7 @@ impl Job<'_> {
         let config = self.weights.unet_config(stage, self.photos)?;
         let side = self.settings.side(stage) as usize;
         let work = || {
-            let unet = unet::Work::new(&config.unet, Precision::Exact, frames, self.latents(stage));
+            let unet = unet::Work::new(&config.unet, PRECISION, frames, self.latents(stage));
             let sampler = self.settings.sampler(stage, Halves::Together);
             let denoising = sampler.computed(&unet, &Schedule::new(&config.scheduler)?)?;
             let vae = vae::Work::new(

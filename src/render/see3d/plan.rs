@@ -11,7 +11,7 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 use tid3r_models::{
-    nn::{Precision, cpu::measured_peak_flops},
+    nn::cpu::measured_peak_flops,
     see3d::{
         clip,
         denoise::Halves,
@@ -166,7 +166,7 @@ impl Job<'_> {
             Halves::InTurn => 1,
         };
         let latents = self.latents(stage);
-        let unet = unet::Memory::new(config, Precision::Exact, groups, frames, latents)?;
+        let unet = unet::Memory::new(config, groups, frames, latents)?;
         let numbers = Unet::tensors(config)?
             .values()
             .map(|shape| shape.iter().product::<usize>())
@@ -175,10 +175,9 @@ impl Job<'_> {
             .weights
             .unet_is_half(stage, self.photos, numbers)
             .map_err(known)?;
-        let weights = if way.compact && is_half {
-            unet.weights / 2
-        } else {
-            unet.weights
+        let weights = match way.compact && is_half {
+            true => unet.compact_weights,
+            false => unet.weights,
         };
         let side = self.settings.side(stage) as usize;
         let (vae, size) = (self.weights.vae_config().map_err(known)?, (side, side));

@@ -88,7 +88,7 @@ impl<'a> Run<'a> {
                 finishes: see3d.settings.stages().last() == Some(part.stage),
                 keeps: keeps(part, &parts),
                 after: earlier(number, &parts),
-                description: part.description(unet, plan.way.tile),
+                description: part.description(unet, &plan.way),
                 work: ((UNITS * work[number] / total) as usize).max(1),
             });
         }
@@ -131,17 +131,17 @@ impl<'a> Run<'a> {
 
     /// Runs the encoders of texts and photos, one after the other.
     fn look(&mut self, progress: &dyn Progress) -> Result<()> {
-        let weights = &self.see3d.weights;
+        let (weights, compact) = (&self.see3d.weights, self.plan.way.compact);
         let best: BTreeSet<usize> = self.guides.values().map(|guides| guides[0]).collect();
         progress.begin("looking at photos", 1 + best.len());
         let ids = &weights.text_encoder_config()?.empty_prompt;
         let ids = Tensor::new(ids.as_slice(), &Device::Cpu).and_then(|ids| ids.unsqueeze(0));
-        let encoder = weights.text_encoder()?;
+        let encoder = weights.text_encoder(compact)?;
         let text = ids.and_then(|ids| encoder.forward(&ids)).map_err(failed)?;
         drop(encoder);
         self.text = Some(text);
         progress.advance(1);
-        let (encoder, frame) = (weights.image_encoder()?, weights.clip_frame()?);
+        let (encoder, frame) = (weights.image_encoder(compact)?, weights.clip_frame()?);
         let side = self.settings().side(Stage::Main);
         for photo in best {
             let seen = squashed(&self.views.references[photo].colour, [side, side]);
@@ -309,7 +309,8 @@ impl<'a> Run<'a> {
             "photos": photos,
             "carried": names(&mut part.carried.iter().copied()),
             "together_with": names(&mut part.targets.clone()),
-            "memory": self.plan.way,
+            "compact": self.plan.way.compact,
+            "tile": self.plan.way.tile,
         }))
     }
 }

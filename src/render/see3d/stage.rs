@@ -1,6 +1,12 @@
 use super::{Quality, See3dParams};
 use serde::Serialize;
-use tid3r_models::see3d::denoise::{self, Halves, Reuse, Sampler, Variant};
+use tid3r_models::{
+    nn::Precision,
+    see3d::denoise::{self, Halves, Reuse, Sampler, Variant},
+};
+
+/// How the UNet's convolutions are computed: faster, with an error of some 3e-6.
+pub(super) const PRECISION: Precision = Precision::Fast;
 
 /// Which of See3D's two passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]

@@ -201,9 +201,12 @@ fn scene() -> EditedScene {
 }
 
 fn rendered(params: &See3dParams, views: usize) -> Vec<(View, Story)> {
-    let see3d = See3d::new(weights(params), params);
+    rendered_by(&See3d::new(weights(params), params), views)
+}
+
+fn rendered_by(see3d: &See3d, views: usize) -> Vec<(View, Story)> {
     let rendering = Rendering {
-        completer: &see3d,
+        completer: see3d,
         splats: SplatParams::default(),
         references: ReferenceParams::default(),
     };
@@ -235,6 +238,38 @@ fn groups_and_super_resolution_come_to_pictures_of_the_views_size() {
     for k in 0..3 {
         assert_eq!(views[k].0.picture, once_more[k].0.picture);
         assert_ne!(views[k].0.picture, others[k].0.picture);
+    }
+}
+
+#[test]
+fn little_memory_comes_to_the_same_pictures() {
+    let params = See3dParams {
+        references: 2,
+        group: Some(1),
+        size: Some(128),
+        steps: Some(2),
+        ..See3dParams::default()
+    };
+    let mut see3d = See3d::new(weights(&params), &params);
+    let ample = rendered_by(&see3d, 2);
+    let way = Way {
+        stays: false,
+        in_turn: true,
+        compact: false,
+        tile: None,
+    };
+    let job = Job {
+        weights: &see3d.weights,
+        settings: &see3d.settings,
+        views: 2,
+        photos: 2,
+    };
+    let limit = job.bytes(&Plan { group: 1, way }).unwrap();
+    assert_eq!(job.plan(Some(limit)).unwrap().way, way);
+    see3d.max_memory = Some(limit);
+    for ((little, story), (ample, _)) in rendered_by(&see3d, 2).iter().zip(&ample) {
+        assert_eq!(little.picture, ample.picture);
+        assert_eq!(story.details["tile"], Value::Null);
     }
 }
 

@@ -1,7 +1,10 @@
-use super::{ClipFrame, PIXELS_PER_LATENT, See3dParams, stage::Stage};
+use super::{
+    ClipFrame, PIXELS_PER_LATENT, See3dParams,
+    stage::{PRECISION, Stage},
+};
 use crate::{
     Error, Result,
-    weights::{self, damaged, joined, network, part},
+    weights::{self, are_missing, damaged, network, part},
 };
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -47,26 +50,29 @@ impl See3dWeights {
     pub fn find(places: &Places, params: &See3dParams) -> Result<Self> {
         let find = |name: &str| -> Result<Found> { Ok(places.find(Network::named(name)?, None)?) };
         let mut errors = Vec::new();
-        let mut need = |found: Result<Found>| found.map_err(|error| errors.push(error)).ok();
+        let mut need = |name: &'static str| {
+            let found = find(name);
+            found.map_err(|error| errors.push((name, error))).ok()
+        };
         let (mut sparse, mut single) = (None, find(SINGLE).ok());
         if params.references > 1 {
-            sparse = need(find(SPARSE));
+            sparse = need(SPARSE);
         } else if single.is_none() {
             sparse = find(SPARSE).ok();
             if sparse.is_none() {
-                single = need(find(SINGLE));
+                single = need(SINGLE);
             }
         }
         let super_resolution = match params.super_resolution {
-            true => need(find(SUPER_RESOLUTION)),
+            true => need(SUPER_RESOLUTION),
             false => None,
         };
-        let parts = [VAE, IMAGE_ENCODER, TEXT_ENCODER].map(|name| need(find(name)));
+        let parts = [VAE, IMAGE_ENCODER, TEXT_ENCODER].map(&mut need);
         let [Some(vae), Some(image_encoder), Some(text_encoder)] = parts else {
-            return Err(joined("See3D's", errors));
+            return Err(lacking(errors));
         };
         if !errors.is_empty() {
-            return Err(joined("See3D's", errors));
+            return Err(lacking(errors));
         }
         let found = Self {
             sparse,
@@ -192,9 +198,8 @@ impl See3dWeights {
 
     pub(super) fn unet(&self, stage: Stage, photos: usize, compact: bool) -> Result<Unet> {
         let found = self.unet_of(stage, photos)?;
-        let weights = weights::open(found, compact)?;
-        part(found, &weights, |config, weights| match config {
-            Config::Unet(config) => Some(Unet::new(&config.unet, weights)),
+        network(found, compact, |config, weights| match config {
+            Config::Unet(config) => Some(Unet::with_precision(&config.unet, PRECISION, weights)),
             _ => None,
         })
     }
@@ -217,18 +222,26 @@ impl See3dWeights {
         Ok(decoder.with_tiling(tiling))
     }
 
-    pub(super) fn image_encoder(&self) -> Result<VisionEncoder> {
-        network(&self.image_encoder, |config, weights| match config {
-            Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
-            _ => None,
-        })
+    pub(super) fn image_encoder(&self, compact: bool) -> Result<VisionEncoder> {
+        network(
+            &self.image_encoder,
+            compact,
+            |config, weights| match config {
+                Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
+                _ => None,
+            },
+        )
     }
 
-    pub(super) fn text_encoder(&self) -> Result<TextEncoder> {
-        network(&self.text_encoder, |config, weights| match config {
-            Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
-            _ => None,
-        })
+    pub(super) fn text_encoder(&self, compact: bool) -> Result<TextEncoder> {
+        network(
+            &self.text_encoder,
+            compact,
+            |config, weights| match config {
+                Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
+                _ => None,
+            },
+        )
     }
 
     /// How the image encoder wants pictures.
@@ -269,6 +282,26 @@ impl See3dWeights {
             }
         }
         Ok(())
+    }
+}
+
+/// The first error about weights that are damaged; else one that names all that are missing. They are
+/// published together, so what is to be done about one is to be done about all.
+fn lacking(mut errors: Vec<(&'static str, Error)>) -> Error {
+    if let Some(damaged) = errors.iter().position(|(_, error)| !are_missing(error)) {
+        return errors.swap_remove(damaged).1;
+    }
+    let names: Vec<&str> = errors.iter().map(|(name, _)| *name).collect();
+    let names = names.join(", ");
+    match errors.into_iter().next() {
+        Some((_, Error::Weights(tid3r_weights_convert::Error::Request { problem, remedy }))) => {
+            Error::request(format!("weights are missing ({names}): {problem}"), remedy)
+        }
+        Some((_, error)) => error,
+        None => Error::request(
+            "weights of See3D are wanted and none is named",
+            "report this as a defect",
+        ),
     }
 }
 
