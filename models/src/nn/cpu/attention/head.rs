@@ -210,7 +210,7 @@ impl KeyBlock<'_> {
                 unsafe {
                     let v = self.v.as_ptr().add(column * keys);
                     let to = tile.as_mut_ptr();
-                    simd.tile_of_pieces(&piece, dim - column, rows.as_ptr(), v, to);
+                    simd.tile_of_pieces(&piece, dim - column, rows.as_ptr(), v, to, nr);
                 }
                 for i in 0..mr {
                     let query = queries.start + first + i;

@@ -304,8 +304,9 @@ fn transposed_is_the_definition() {
 /// Layers as networks have them, where errors grow with the channels.
 #[test]
 fn errors_with_many_channels() {
-    for (kernel, size) in [(3, 14), (5, 10)] {
-        let layer = Layer::random(7, images(1, size, size), 256, 64, kernel);
+    // The most are multiplied in several parts.
+    for (kernel, size, inputs) in [(3, 14, 256), (3, 10, 700), (5, 10, 256)] {
+        let layer = Layer::random(7, images(1, size, size), inputs, 64, kernel);
         let want = layer.want();
         for way in Way::of_kernel(kernel) {
             for isa in Isa::available() {

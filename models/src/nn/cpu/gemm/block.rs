@@ -129,6 +129,13 @@ pub(super) struct Finish<'a> {
 }
 
 impl Finish<'_> {
+    /// Whether a tile goes where it belongs as it is.
+    #[inline(always)]
+    pub(super) fn is_plain(&self, residual: bool) -> bool {
+        let same = self.bias.is_none() && self.activation == Activation::Identity && !residual;
+        self.first && (!self.last || same)
+    }
+
     /// Brings `rows` x `columns` of a tile to where `c` says for each row; `residual` likewise. The
     /// tile's first column is `column` of the bias.
     ///

@@ -206,8 +206,19 @@ impl Task for Scattered<'_> {
                         // The first panel brings the rows of the next tile, which others find there.
                         self.a.prefetch(simd, pieces, row + S::MR);
                     }
+                    if let Some((start, stride)) = even::<S>(c)
+                        && columns == S::NR
+                        && finish.is_plain(self.residual.is_some())
+                    {
+                        let to = start.wrapping_add(column);
+                        // SAFETY: by the contract of `Scattered::run`, all of a tile's rows and columns can be
+                        // written there.
+                        unsafe { simd.tile_of_pieces(pieces, columns, a, b, to, stride) };
+                        continue;
+                    }
+                    let to = tile.0.as_mut_ptr();
                     // SAFETY: by the contract of `Scattered::run`.
-                    unsafe { simd.tile_of_pieces(pieces, columns, a, b, tile.0.as_mut_ptr()) };
+                    unsafe { simd.tile_of_pieces(pieces, columns, a, b, to, S::NR) };
                     let to = |i: usize| c[i].wrapping_add(column);
                     let residual = (self.residual)
                         .map(|all| move |i: usize| all[row + i].wrapping_add(column));
@@ -217,4 +228,15 @@ impl Task for Scattered<'_> {
             }
         }
     }
+}
+
+/// Where the first of a tile's rows begins and how far they are apart, if all are there and at equal distances.
+#[inline(always)]
+fn even<S: Simd>(c: &[*mut f32]) -> Option<(*mut f32, usize)> {
+    if c.len() != S::MR {
+        return None;
+    }
+    let stride = (c[1] as usize).checked_sub(c[0] as usize)? / size_of::<f32>();
+    let regular = (c.iter().enumerate()).all(|(i, &c_i)| c[0].wrapping_add(i * stride) == c_i);
+    regular.then_some((c[0], stride))
 }

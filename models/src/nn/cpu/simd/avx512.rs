@@ -201,12 +201,13 @@ impl Simd for Avx512 {
         a: *const *const f32,
         b: *const f32,
         out: *mut f32,
+        stride: usize,
     ) {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe {
             match columns <= Self::LANES {
-                true => tile_of_pieces::<Self, 14, 1>(self, pieces, a, b, out),
-                false => tile_of_pieces::<Self, 14, 2>(self, pieces, a, b, out),
+                true => tile_of_pieces::<Self, 14, 1>(self, pieces, a, b, out, stride),
+                false => tile_of_pieces::<Self, 14, 2>(self, pieces, a, b, out, stride),
             }
         }
     }

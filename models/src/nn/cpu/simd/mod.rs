@@ -204,6 +204,7 @@ pub(super) trait Simd: Copy {
         a: *const *const f32,
         b: *const f32,
         out: *mut f32,
+        stride: usize,
     );
 
     /// The first `count` lanes from memory, zeros in the others if it is less than a vector.
@@ -323,6 +324,7 @@ unsafe fn tile_of_pieces<S: Simd, const MR: usize, const NV: usize>(
     a: *const *const f32,
     mut b: *const f32,
     out: *mut f32,
+    stride: usize,
 ) {
     let mut sums = [[simd.splat(0.0); NV]; MR];
     for piece in pieces {
@@ -347,8 +349,8 @@ unsafe fn tile_of_pieces<S: Simd, const MR: usize, const NV: usize>(
     }
     for (i, row) in sums.iter().enumerate() {
         for (j, &sum) in row.iter().enumerate() {
-            // SAFETY: the caller lets `MR * NR` numbers be written at `out`.
-            unsafe { simd.store(out.add(i * S::NR + j * S::LANES), sum) };
+            // SAFETY: the caller lets the columns of `MR` rows be written at `out`.
+            unsafe { simd.store(out.add(i * stride + j * S::LANES), sum) };
         }
     }
 }

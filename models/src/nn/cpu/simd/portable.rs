@@ -192,8 +192,9 @@ impl Simd for Portable {
         a: *const *const f32,
         b: *const f32,
         out: *mut f32,
+        stride: usize,
     ) {
         // SAFETY: as the caller promises.
-        unsafe { tile_of_pieces::<Self, 4, 1>(self, pieces, a, b, out) }
+        unsafe { tile_of_pieces::<Self, 4, 1>(self, pieces, a, b, out, stride) }
     }
 }

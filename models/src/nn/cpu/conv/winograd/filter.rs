@@ -70,15 +70,16 @@ impl<T: Stored, const N: usize, const K: usize, const TAPS: usize> Task
         assert!(inputs.end <= all && weights.len() >= outputs.end * all * TAPS);
         assert!(self.plane >= columns * depth && self.to.len() >= N * N * self.plane);
         let to = self.to.as_mut_ptr();
+        let mut taps = [[simd.splat(0.0); MAX_LANES]; TAPS];
         for column in (0..columns).step_by(S::LANES) {
             let count = outputs.len().saturating_sub(column).min(S::LANES);
             let panel = column / S::NR * S::NR * depth + column % S::NR;
             for start in (0..depth).step_by(S::LANES) {
                 let some = S::LANES.min(depth - start);
-                let mut taps = [[simd.splat(0.0); MAX_LANES]; TAPS];
                 for (block, taps) in taps.iter_mut().enumerate() {
                     let at = block * S::LANES;
                     let numbers = (some * TAPS).saturating_sub(at).min(S::LANES);
+                    taps[count..].fill(simd.splat(0.0));
                     for (i, line) in taps.iter_mut().enumerate().take(count) {
                         let filter = (outputs.start + column + i) * all + inputs.start + start;
                         // SAFETY: these numbers of the filters of `some` inputs are inside.
