@@ -41,3 +41,41 @@ pub fn context(text: &Tensor, image: &Tensor, groups: usize, frames: usize) -> R
 fn largest(x: &Tensor) -> Result<f32> {
     x.abs()?.flatten_all()?.max(0)?.to_scalar()
 }
+
+#[cfg(test)]
+mod tests {
+    use candle_core::Device;
+
+    use super::*;
+
+    fn largest_difference(a: &Tensor, b: &Tensor) -> f32 {
+        largest(&(a - b).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn equal_prompts_have_one_row_of_context() {
+        let text = Tensor::randn(0.0_f32, 1.0, (2, 5, 8), &Device::Cpu).unwrap();
+        let image =
+            Tensor::new(&[1.0_f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0], &Device::Cpu).unwrap();
+        let row = |i| text.narrow(0, i, 1).unwrap();
+        let equal = Tensor::cat(&[row(0), row(0)], 0).unwrap();
+        let [one, both] = [row(0), equal].map(|text| context(&text, &image, 2, 3).unwrap());
+        assert_eq!(one.dims(), [1, 5, 8]);
+        assert_eq!(largest_difference(&one, &both), 0.0);
+        let added = (&one - &row(0)).unwrap().get(0).unwrap().get(2).unwrap();
+        let want =
+            Tensor::new(&[0.2_f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0], &Device::Cpu).unwrap();
+        assert!(largest_difference(&added, &want) < 1e-6);
+        // Different ones take turns, whatever the half.
+        let rows = context(&text, &image, 2, 3).unwrap();
+        assert_eq!(rows.dims(), [6, 5, 8]);
+        for i in 0..6 {
+            let own = context(&row(i % 2), &image, 2, 3).unwrap();
+            assert_eq!(
+                largest_difference(&rows.narrow(0, i, 1).unwrap(), &own),
+                0.0
+            );
+        }
+        assert!(context(&text, &image.narrow(0, 0, 7).unwrap(), 2, 3).is_err());
+    }
+}

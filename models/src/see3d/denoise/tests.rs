@@ -1,3 +1,5 @@
+mod fast;
+
 use candle_core::Device;
 
 use super::*;
@@ -234,61 +236,6 @@ fn progress_is_what_was_announced() {
 }
 
 #[test]
-fn few_steps_come_close_to_many() {
-    let fast = |steps| {
-        let quality = Quality::Fast(Reuse::Never);
-        let own = Sampler {
-            quality,
-            steps,
-            ..Sampler::released(Variant::SuperResolution)
-        };
-        targets(&run(&own, &mut Unobserved).0)
-    };
-    let reference = fast(150);
-    let [few, more] = [12, 36].map(|steps| largest_difference(&fast(steps), &reference));
-    assert!(few < 0.05 && more < few / 3.0, "{few} {more}");
-}
-
-#[test]
-fn fast_steps_use_a_draw_and_its_negative() {
-    for (reuse, drawn, signs) in [
-        (Reuse::Never, vec![0, 2, 4], [1.0, -1.0, 1.0, -1.0, 1.0]),
-        (
-            Reuse::EverySecond { split: 0 },
-            vec![0, 4],
-            [1.0, 1.0, -1.0, -1.0, 1.0],
-        ),
-    ] {
-        let mut seen = Seen::default();
-        let own = sampler(Quality::Fast(reuse), 5);
-        let (_, draws) = run(&own, &mut seen);
-        let warps = drawn.iter().map(|&step| Draw::Warp(step));
-        assert_eq!(
-            draws,
-            [Draw::Latents].into_iter().chain(warps).collect::<Vec<_>>()
-        );
-        let schedule = released();
-        for (step, timestep) in own.timesteps(&schedule).unwrap().into_iter().enumerate() {
-            let last = drawn
-                .iter()
-                .copied()
-                .filter(|&drawn| drawn <= step)
-                .max()
-                .unwrap();
-            let noise = (waves((3, 4, 4, 4), Draw::Warp(last)) * signs[step]).unwrap();
-            let input = targets(&seen.inputs[step].narrow(0, 0, 3).unwrap());
-            let latents = input.narrow(3, 0, 4).unwrap();
-            let projections = targets(&conditions().latents);
-            let mix = schedule
-                .warp_mix(&projections, &targets(&noise), &latents, timestep)
-                .unwrap();
-            let got = input.narrow(3, 4, 4).unwrap();
-            assert!(largest_difference(&got, &mix) < 1e-6, "{reuse:?} {step}");
-        }
-    }
-}
-
-#[test]
 fn the_observer_can_end_a_run() {
     struct Stops;
     impl Observer for Stops {
@@ -402,29 +349,4 @@ fn what_does_not_fit_is_refused() {
         let message = of(&conditions, &sampler, context).unwrap_err();
         assert!(message.contains(problem), "{message}");
     }
-}
-
-#[test]
-fn equal_prompts_have_one_row_of_context() {
-    let text = waves((1, 2, 5, 8), Draw::Latents).get(0).unwrap();
-    let image = Tensor::new(&[1.0_f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -5.0], &Device::Cpu).unwrap();
-    let row = |i| text.narrow(0, i, 1).unwrap();
-    let equal = Tensor::cat(&[row(0), row(0)], 0).unwrap();
-    let [one, both] = [row(0), equal].map(|text| context(&text, &image, 2, 3).unwrap());
-    assert_eq!(one.dims(), [1, 5, 8]);
-    assert_eq!(largest_difference(&one, &both), 0.0);
-    let added = (&one - &row(0)).unwrap().get(0).unwrap().get(2).unwrap();
-    let want = Tensor::new(&[0.2_f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0], &Device::Cpu).unwrap();
-    assert!(largest_difference(&added, &want) < 1e-6);
-    // Different ones take turns, whatever the half.
-    let rows = context(&text, &image, 2, 3).unwrap();
-    assert_eq!(rows.dims(), [6, 5, 8]);
-    for i in 0..6 {
-        let own = context(&row(i % 2), &image, 2, 3).unwrap();
-        assert_eq!(
-            largest_difference(&rows.narrow(0, i, 1).unwrap(), &own),
-            0.0
-        );
-    }
-    assert!(context(&text, &image.narrow(0, 0, 7).unwrap(), 2, 3).is_err());
 }

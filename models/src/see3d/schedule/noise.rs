@@ -27,13 +27,13 @@ pub fn betas(config: &Config) -> Result<Vec<f32>> {
     })
 }
 
-/// `count` numbers from `start` to `end`, from both of which PyTorch counts to the middle.
+/// `count` numbers from `start` to `end`, from both of which PyTorch counts to the middle, rounding once.
 fn line(start: f64, end: f64, count: usize) -> Vec<f32> {
     let (start, end) = (start as f32, end as f32);
     let step = (end - start) / (count - 1) as f32;
     let number = |i: usize| match i < count / 2 {
-        true => start + step * i as f32,
-        false => end - step * (count - 1 - i) as f32,
+        true => step.mul_add(i as f32, start),
+        false => step.mul_add(-((count - 1 - i) as f32), end),
     };
     (0..count).map(number).collect()
 }

@@ -1,12 +1,12 @@
 //! Hyper-parameters.
 
-use std::collections::BTreeMap;
+mod read;
+#[cfg(test)]
+mod tests;
+mod validate;
 
-use candle_core::{Error, Result, bail};
 use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value};
-
-use super::plan::Plan;
+use serde_json::Value;
 
 /// The hyper-parameters of the network, under the names that `config.json` gives them; other keys of the
 /// file change nothing in the network.
@@ -134,121 +134,6 @@ impl Config {
         }
     }
 
-    /// The configuration that `file`, an upstream `config.json`, gives a network that has tensors of these
-    /// names and `shapes`, among others: what the file lacks, shapes tell.
-    ///
-    /// # Errors
-    ///
-    /// If the file lacks both `num_heads` and `num_head_channels`, which no shape tells, or holds
-    /// something that cannot be; or shapes are asked and do not tell.
-    pub fn from_file(
-        file: &Map<String, Value>,
-        shapes: &BTreeMap<String, Vec<usize>>,
-    ) -> Result<Self> {
-        let number = |key: &str| file.get(key).and_then(Value::as_i64).unwrap_or(unset());
-        let (heads, head_channels) = (number("num_heads"), number("num_head_channels"));
-        if heads == unset() && head_channels == unset() {
-            bail!(
-                "the configuration says neither num_head_channels nor num_heads, and no tensor's shape \
-                 tells how wide attention heads are"
-            );
-        }
-        let whole = serde_json::from_value::<Self>(Value::Object(file.clone()));
-        // The constructor's own default of `channel_mult` is no released network's.
-        if let Ok(config) = whole
-            && file.contains_key("channel_mult")
-        {
-            config.validate()?;
-            return Ok(config);
-        }
-        let wrong = |e: serde_json::Error| Error::Msg(format!("the configuration: {e}"));
-        let told = Self {
-            num_heads: heads,
-            num_head_channels: head_channels,
-            ..Self::told_by(shapes)?
-        };
-        let Value::Object(mut all) = serde_json::to_value(told).map_err(wrong)? else {
-            bail!("a configuration is no table");
-        };
-        let given = file.iter().filter(|(_, value)| !value.is_null());
-        all.extend(given.map(|(key, value)| (key.clone(), value.clone())));
-        let config: Self = serde_json::from_value(Value::Object(all)).map_err(wrong)?;
-        config.validate()?;
-        Ok(config)
-    }
-
-    /// What the names and shapes of a network's tensors tell of its configuration: all but the width of
-    /// attention heads, for which the released networks' is taken.
-    ///
-    /// # Errors
-    ///
-    /// If a tensor that says a size is missing, or its shape cannot be.
-    pub fn from_shapes(shapes: &BTreeMap<String, Vec<usize>>) -> Result<Self> {
-        let config = Self::told_by(shapes)?;
-        config.validate()?;
-        Ok(config)
-    }
-
-    /// The same, of which nothing is checked: the width of heads may be another.
-    fn told_by(shapes: &BTreeMap<String, Vec<usize>>) -> Result<Self> {
-        let size = |name: &str, axis: usize| match shapes.get(name) {
-            None => bail!("the tensor {name} is missing"),
-            Some(shape) => (shape.get(axis).copied().filter(|&size| size > 0))
-                .ok_or_else(|| Error::Msg(format!("the tensor {name} has shape {shape:?}"))),
-        };
-        let first = "input_blocks.0.0.weight";
-        let model_channels = size(first, 0)?;
-        let (mut widths, mut repeats) = (vec![model_channels], vec![0]);
-        let mut attention = Vec::new();
-        for i in 1.. {
-            let name = |rest: &str| format!("input_blocks.{i}.{rest}");
-            let level = widths.len() - 1;
-            if shapes.contains_key(&name("0.op.weight")) {
-                widths.push(widths[level]);
-                repeats.push(0);
-            } else if shapes.contains_key(&name("0.in_layers.2.weight")) {
-                let width = size(&name("0.in_layers.2.weight"), 0)?;
-                if repeats[level] > 0 && width != widths[level] {
-                    bail!(
-                        "the blocks of a level have {} and {width} channels",
-                        widths[level]
-                    );
-                }
-                widths[level] = width;
-                repeats[level] += 1;
-                if shapes.contains_key(&name("1.norm.weight")) && !attention.contains(&(1 << level))
-                {
-                    attention.insert(0, 1 << level);
-                }
-            } else {
-                break;
-            }
-        }
-        if let Some(width) = (widths.iter()).find(|width| !width.is_multiple_of(model_channels)) {
-            bail!(
-                "a level's {width} channels are no multiple of {model_channels}, those of {first}"
-            );
-        }
-        let image_prompts = (shapes.keys()).any(|name| name.starts_with("image_embed."));
-        let camera = "camera_embed.0.weight";
-        let has_camera = shapes.contains_key(camera);
-        Ok(Self {
-            in_channels: size(first, 1)?,
-            model_channels,
-            out_channels: size("out.2.weight", 0)?,
-            num_res_blocks: match repeats.iter().all(|&number| number == repeats[0]) {
-                true => Repeats::Same(repeats[0]),
-                false => Repeats::Each(repeats),
-            },
-            attention_resolutions: attention,
-            channel_mult: widths.iter().map(|width| width / model_channels).collect(),
-            context_dim: size("middle_block.1.transformer_blocks.0.attn2.to_k.weight", 1)?,
-            camera_dim: has_camera.then(|| size(camera, 1)).transpose()?,
-            ip_dim: usize::from(image_prompts),
-            ..Self::released()
-        })
-    }
-
     /// Number of levels; a map is halved between each and the next.
     pub fn levels(&self) -> usize {
         self.channel_mult.len()
@@ -289,107 +174,4 @@ impl Config {
         let within = limit.is_none_or(|limit| limit.is_some_and(|&limit| block < limit));
         within && self.attention_resolutions.contains(&(1 << level))
     }
-
-    /// Refuses what no network can be built of, and variants that See3D does not use.
-    ///
-    /// # Errors
-    ///
-    /// With the key and what is wrong with it.
-    pub fn validate(&self) -> Result<()> {
-        const WIDEST: usize = 1 << 14;
-        const LEVELS: usize = 8;
-        if !(1..=LEVELS).contains(&self.levels()) {
-            bail!(
-                "channel_mult must have from 1 to {LEVELS} levels, got {}",
-                self.levels()
-            );
-        }
-        if let Repeats::Each(numbers) = &self.num_res_blocks
-            && numbers.len() != self.levels()
-        {
-            bail!(
-                "num_res_blocks {numbers:?} and channel_mult {:?} differ in length",
-                self.channel_mult
-            );
-        }
-        let sizes = [
-            ("in_channels", self.in_channels),
-            ("model_channels", self.model_channels),
-            ("out_channels", self.out_channels),
-            ("context_dim", self.context_dim),
-        ];
-        let levels = (0..self.levels()).flat_map(|level| {
-            let multiple = self.channel_mult[level];
-            let width = self.model_channels.saturating_mul(multiple);
-            let repeats = self.num_res_blocks.of(level).saturating_mul(1 << 8);
-            [
-                ("channel_mult", multiple),
-                ("model_channels * channel_mult", width),
-                ("256 * num_res_blocks", repeats),
-            ]
-        });
-        for (name, size) in sizes.into_iter().chain(levels) {
-            if !(1..=WIDEST).contains(&size) {
-                bail!("{name} must be from 1 to {WIDEST}, got {size}");
-            }
-        }
-        if !self.model_channels.is_multiple_of(Self::NORM_GROUPS) {
-            bail!(
-                "model_channels = {} is no multiple of the norms' 32 groups",
-                self.model_channels
-            );
-        }
-        if self.channel_mult[0] != 1 {
-            bail!(
-                "channel_mult must begin with 1, got {:?}: the last convolution takes model_channels",
-                self.channel_mult
-            );
-        }
-        self.validate_variant()?;
-        self.validate_heads()
-    }
-
-    fn validate_variant(&self) -> Result<()> {
-        if self.ip_dim > 0 {
-            bail!(
-                "ip_dim = {}: a network with image prompts takes inputs that See3D's pipeline never \
-                 gives; only ip_dim = 0 is supported",
-                self.ip_dim
-            );
-        }
-        for (key, wanted, is_so) in [
-            ("transformer_depth", "1", self.transformer_depth == 1),
-            ("use_scale_shift_norm", "false", !self.use_scale_shift_norm),
-            ("resblock_updown", "false", !self.resblock_updown),
-            ("num_classes", "null", self.num_classes.is_none()),
-            ("n_embed", "null", self.n_embed.is_none()),
-            ("conv_resample", "true", self.conv_resample),
-            ("dims", "2", self.dims == 2),
-        ] {
-            if !is_so {
-                bail!("{key} must be {wanted}: See3D has no other networks");
-            }
-        }
-        Ok(())
-    }
-
-    fn validate_heads(&self) -> Result<()> {
-        let width = usize::try_from(self.num_head_channels).ok();
-        for channels in Plan::of(self).transformer_channels() {
-            let heads = self.heads(channels);
-            let shared = heads > 0 && channels.is_multiple_of(heads);
-            if !shared || width.is_some_and(|width| width != channels / heads) {
-                bail!(
-                    "a transformer's {channels} channels cannot be shared among heads as num_head_channels \
-                     = {} and num_heads = {} say",
-                    self.num_head_channels,
-                    self.num_heads
-                );
-            }
-        }
-        Ok(())
-    }
 }
-
-#[cfg(test)]
-mod tests;

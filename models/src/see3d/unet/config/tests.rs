@@ -1,4 +1,6 @@
-use serde_json::json;
+use std::collections::BTreeMap;
+
+use serde_json::{Map, json};
 
 use super::super::Unet;
 use super::*;
