@@ -244,14 +244,13 @@ fn groups_and_super_resolution_come_to_pictures_of_the_views_size() {
 #[test]
 fn little_memory_comes_to_the_same_pictures() {
     let params = See3dParams {
-        references: 2,
-        group: Some(1),
-        size: Some(128),
-        steps: Some(2),
+        references: 3,
+        group: Some(2),
+        steps: Some(1),
         ..See3dParams::default()
     };
     let mut see3d = See3d::new(weights(&params), &params);
-    let ample = rendered_by(&see3d, 2);
+    let ample = rendered_by(&see3d, 4);
     let way = Way {
         stays: false,
         in_turn: true,
@@ -261,13 +260,13 @@ fn little_memory_comes_to_the_same_pictures() {
     let job = Job {
         weights: &see3d.weights,
         settings: &see3d.settings,
-        views: 2,
-        photos: 2,
+        views: 4,
+        photos: 3,
     };
-    let limit = job.bytes(&Plan { group: 1, way }).unwrap();
+    let limit = job.bytes(&Plan { group: 2, way }).unwrap();
     assert_eq!(job.plan(Some(limit)).unwrap().way, way);
     see3d.max_memory = Some(limit);
-    for ((little, story), (ample, _)) in rendered_by(&see3d, 2).iter().zip(&ample) {
+    for ((little, story), (ample, _)) in rendered_by(&see3d, 4).iter().zip(&ample) {
         assert_eq!(little.picture, ample.picture);
         assert_eq!(story.details["tile"], Value::Null);
     }
