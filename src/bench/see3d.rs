@@ -75,6 +75,8 @@ pub(super) fn vae(
     let (width, height) = size.in_steps_of(config.scale() as u32)?;
     let Vae { encoder, decoder } = Vae::new(config, &source.weights()?).map_err(failed)?;
     let work = vae::Work::new(config, (height, width), Tiling::Released).map_err(failed)?;
+    let computed =
+        vae::Work::computed(config, (height, width), Tiling::Released).map_err(failed)?;
     let picture = made_up(&[1, height, width, config.in_channels])?;
     let scale = config.scale();
     let latents = made_up(&[1, height / scale, width / scale, config.latent_channels])?;
@@ -86,13 +88,13 @@ pub(super) fn vae(
         Trial {
             load: load("encode"),
             defined: work.encode,
-            computed: work.encode,
+            computed: computed.encode,
             run: Box::new(move || encoder.encode(&picture).map(drop)),
         },
         Trial {
             load: load("decode"),
             defined: work.decode,
-            computed: work.decode,
+            computed: computed.decode,
             run: Box::new(move || decoder.decode(&latents).map(drop)),
         },
     ])

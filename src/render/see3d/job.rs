@@ -45,7 +45,7 @@ impl Part {
     }
 
     /// What its pictures depend on besides what its views show.
-    pub(super) fn description(&self, unet: Value, way: &Way) -> Value {
+    pub(super) fn description(&self, unet: &Value, way: &Way) -> Value {
         json!({
             "stage": self.stage,
             "number": self.number,
@@ -108,8 +108,8 @@ impl Job<'_> {
             let unet = unet::Work::new(&config.unet, PRECISION, frames, self.latents(stage));
             let sampler = self.settings.sampler(stage, Halves::Together);
             let denoising = sampler.computed(&unet, &Schedule::new(&config.scheduler)?)?;
-            let vae = vae::Work::new(
-                self.weights.vae_config().map_err(message)?,
+            let vae = vae::Work::computed(
+                self.weights.vae_config().map_err(|error| message(&error))?,
                 (side, side),
                 tiling,
             )?;
@@ -134,7 +134,7 @@ impl Job<'_> {
     }
 }
 
-fn message(error: Error) -> candle_core::Error {
+fn message(error: &Error) -> candle_core::Error {
     candle_core::Error::Msg(error.to_string())
 }
 

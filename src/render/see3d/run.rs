@@ -88,7 +88,7 @@ impl<'a> Run<'a> {
                 finishes: see3d.settings.stages().last() == Some(part.stage),
                 keeps: keeps(part, &parts),
                 after: earlier(number, &parts),
-                description: part.description(unet, &plan.way),
+                description: part.description(&unet, &plan.way),
                 work: ((UNITS * work[number] / total) as usize).max(1),
             });
         }
@@ -239,14 +239,10 @@ impl<'a> Run<'a> {
         let mut encode = || {
             let pictures = frames.tensor()?;
             let mut latents = Vec::new();
-            for frame in 0..frames.pictures.len() {
-                let (purpose, number) = match frame.checked_sub(frames.references) {
-                    None => (Purpose::Photo, guides[frame]),
-                    Some(k) => match k.checked_sub(part.carried.len()) {
-                        None => (Purpose::Carried(k), part.number),
-                        Some(k) => (Purpose::View, part.targets.start + k),
-                    },
-                };
+            let photos = guides.iter().map(|&photo| (Purpose::Photo, photo));
+            let carried = (0..part.carried.len()).map(|k| (Purpose::Carried(k), part.number));
+            let views = part.targets.clone().map(|view| (Purpose::View, view));
+            for (frame, (purpose, number)) in photos.chain(carried).chain(views).enumerate() {
                 let known = self
                     .latents
                     .get(&(stage, number))

@@ -251,20 +251,17 @@ fn little_memory_comes_to_the_same_pictures() {
     };
     let mut see3d = See3d::new(weights(&params), &params);
     let ample = rendered_by(&see3d, 4);
-    let way = Way {
-        stays: false,
-        in_turn: true,
-        compact: false,
-        tile: None,
-    };
     let job = Job {
         weights: &see3d.weights,
         settings: &see3d.settings,
         views: 4,
         photos: 3,
     };
-    let limit = job.bytes(&Plan { group: 2, way }).unwrap();
-    assert_eq!(job.plan(Some(limit)).unwrap().way, way);
+    let ample_plan = job.plan(Some(u64::MAX)).unwrap();
+    let limit = job.bytes(&ample_plan).unwrap() - 1;
+    let little_plan = job.plan(Some(limit)).unwrap();
+    assert_ne!(little_plan, ample_plan);
+    assert_eq!(little_plan.way.tile, None, "tiles are another picture");
     see3d.max_memory = Some(limit);
     for ((little, story), (ample, _)) in rendered_by(&see3d, 4).iter().zip(&ample) {
         assert_eq!(little.picture, ample.picture);

@@ -180,6 +180,10 @@ impl Network {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "model")]
 #[non_exhaustive]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there are a few at a time, and they are looked into rather than moved"
+)]
 pub enum Config {
     /// MV-DUSt3R or MV-DUSt3R+.
     #[serde(rename = "mvdust3r")]

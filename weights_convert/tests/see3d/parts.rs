@@ -115,7 +115,7 @@ fn tensors_without_use_are_left_out_and_others_are_refused() {
     ] {
         let copy = Copy::new();
         copy.change_tensors(file, |tensors| {
-            tensors.push(Tensor::f32(name, &[1], &[0.0]))
+            tensors.push(Tensor::f32(name, &[1], &[0.0]));
         });
         let message = copy.part(file, &PLAIN).unwrap_err();
         assert!(message.contains(wanted), "{message}");

@@ -294,7 +294,8 @@ mod tests {
 
     #[test]
     fn sizes_that_fit_nothing_are_refused() {
-        let vision: [(fn(&mut VisionConfig), &str); 6] = [
+        type Change<C> = (fn(&mut C), &'static str);
+        let vision: [Change<VisionConfig>; 6] = [
             (|c| c.hidden_size = 0, "hidden_size"),
             (|c| c.num_attention_heads = 7, "num_attention_heads"),
             (|c| c.num_hidden_layers = usize::MAX, "num_hidden_layers"),
@@ -308,7 +309,7 @@ mod tests {
             let message = VisionEncoder::tensors(&config).unwrap_err().to_string();
             assert!(message.contains(name), "{message}");
         }
-        let text: [(fn(&mut TextConfig), &str); 3] = [
+        let text: [Change<TextConfig>; 3] = [
             (|c| c.vocab_size = 0, "vocab_size"),
             (|c| c.max_position_embeddings = 0, "max_position_embeddings"),
             (|c| c.intermediate_size = 1 << 50, "intermediate_size"),

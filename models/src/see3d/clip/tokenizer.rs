@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use candle_core::{Error, Result};
 use serde::Deserialize;
@@ -196,7 +196,7 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_str(&text).map_err(|e| problem(path, &e))
 }
 
-fn read_if_there<T: DeserializeOwned>(path: &PathBuf) -> Result<Option<T>> {
+fn read_if_there<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     match path.exists() {
         true => read(path).map(Some),
         false => Ok(None),

@@ -16,9 +16,9 @@ pub(super) struct Block {
 #[derive(Clone, Debug)]
 enum Module {
     Convolution(Conv2d),
-    Residual(ResBlock),
+    Residual(Box<ResBlock>),
     Transformer {
-        transformer: SpatialTransformer,
+        transformer: Box<SpatialTransformer>,
         /// Its number among the network's.
         index: usize,
     },
@@ -53,15 +53,15 @@ impl Block {
                 }
                 Layer::Residual { inputs, outputs } => {
                     let embedding = config.embedding_channels();
-                    Module::Residual(ResBlock::new(
-                        inputs, outputs, embedding, precision, &weights,
-                    )?)
+                    let block = ResBlock::new(inputs, outputs, embedding, precision, &weights)?;
+                    Module::Residual(Box::new(block))
                 }
                 Layer::Transformer { channels } => {
                     let (context, heads) = (config.context_dim, config.heads(channels));
                     let index = *transformers;
                     *transformers += 1;
                     let transformer = SpatialTransformer::new(channels, context, heads, &weights)?;
+                    let transformer = Box::new(transformer);
                     Module::Transformer { transformer, index }
                 }
                 Layer::Down { channels } => Module::Down(Downsample::new(channels, &weights)?),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use candle_core::{Result, Tensor, bail};
 
 use super::blocks::{MiddleBlock, ResidualBlock, conv3x3, residual_blocks};
-use super::work::Stages;
+use super::work::{Count, Stages};
 use super::{Config, EPS, Tiling};
 use crate::nn::{Activation, Conv2d, GroupNorm, Precision};
 use crate::{Observer, Unobserved, Weights};
@@ -158,7 +158,7 @@ impl Decoder {
     /// One picture or tile, of unscaled latents `x` (1, height, width, channels).
     fn tile(&self, x: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
         let (_, height, width, _) = x.dims4()?;
-        let work = Stages::of_decoding(&self.config, (height, width));
+        let work = Stages::of_decoding(&self.config, (height, width), Count::Computed);
         let x = self.post_quant_conv.forward(x, Activation::Identity)?;
         let x = self.conv_in.forward(&x, Activation::Identity)?;
         observer.advance(work.conv_in);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use candle_core::{Result, Tensor, bail};
 
 use super::blocks::{MiddleBlock, ResidualBlock, conv3x3, residual_blocks};
-use super::work::Stages;
+use super::work::{Count, Stages};
 use super::{Config, EPS, Moments, Tiling};
 use crate::nn::{Activation, Conv2d, GroupNorm, Precision};
 use crate::{Observer, Unobserved, Weights};
@@ -176,7 +176,7 @@ impl Encoder {
     /// Mean and logarithm of the variance for one picture or tile `x` (1, height, width, colours).
     fn tile(&self, x: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
         let (_, height, width, _) = x.dims4()?;
-        let work = Stages::of_encoding(&self.config, (height, width));
+        let work = Stages::of_encoding(&self.config, (height, width), Count::Computed);
         let mut x = self.conv_in.forward(x, Activation::Identity)?;
         observer.advance(work.conv_in);
         for (i, block) in self.down_blocks.iter().enumerate() {

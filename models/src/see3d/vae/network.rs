@@ -162,7 +162,7 @@ mod tests {
         }
         for tiling in [Tiling::Whole, Tiling::Tiles(16)] {
             let (vae, size) = (network(tiling), (24, 40));
-            let work = Work::new(&config(), size, tiling).unwrap();
+            let work = Work::computed(&config(), size, tiling).unwrap();
             let mut done = Done::default();
             let x = Tensor::zeros((1, 24, 40, 3), DType::F32, &Device::Cpu).unwrap();
             let moments = vae.encoder.encode_observed(&x, &mut done).unwrap();

@@ -161,11 +161,10 @@ impl Convolution {
 
     /// Whether channels may lie in several parts; or, if there is only one, whether it may be enlarged.
     pub(in crate::nn) fn takes(&self, parts: &[Part<'_>]) -> bool {
-        match (self, parts) {
-            (Self::Gathered(_), _) | (_, [Part { times: 1, .. }]) => true,
-            (Self::Winograd(_), [_]) => true,
-            _ => false,
-        }
+        matches!(
+            (self, parts),
+            (Self::Gathered(_), _) | (_, [Part { times: 1, .. }]) | (Self::Winograd(_), [_])
+        )
     }
 
     /// The convolution of images, whose channels are those of `parts` one after the other, finished by

@@ -105,9 +105,9 @@ pub(super) fn pack_factor(
     assert!(columns.end <= factor.columns() && depth.end <= factor.depth());
     assert!(to.len() >= columns.len().next_multiple_of(nr) * depth.len());
     match factor {
-        Factor::Transposed(matrix) => isa.run(Rows::of(matrix, columns, depth, nr, to)),
-        Factor::TransposedF16(matrix) => isa.run(Rows::of(matrix, columns, depth, nr, to)),
-        Factor::TransposedBf16(matrix) => isa.run(Rows::of(matrix, columns, depth, nr, to)),
+        Factor::Transposed(matrix) => isa.run(Rows::of(&matrix, columns, depth, nr, to)),
+        Factor::TransposedF16(matrix) => isa.run(Rows::of(&matrix, columns, depth, nr, to)),
+        Factor::TransposedBf16(matrix) => isa.run(Rows::of(&matrix, columns, depth, nr, to)),
         Factor::Plain(matrix) => {
             let panels = to.chunks_exact_mut(nr * depth.len().max(1));
             for (panel, start) in panels.zip(columns.clone().step_by(nr)) {
@@ -128,7 +128,7 @@ pub(super) fn pack_factor(
 /// If `to` is too short.
 pub(in crate::nn::cpu) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f32]) {
     isa.run(Rows::of(
-        matrix,
+        &matrix,
         0..matrix.rows(),
         0..matrix.columns(),
         width,
@@ -149,7 +149,7 @@ struct Rows<'a, T> {
 impl<'a, T> Rows<'a, T> {
     /// The part of `matrix` in these rows and this depth.
     fn of(
-        matrix: Matrix<'_, T>,
+        matrix: &Matrix<'_, T>,
         rows: Range<usize>,
         depth: Range<usize>,
         width: usize,

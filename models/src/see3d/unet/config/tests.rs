@@ -5,7 +5,7 @@ use serde_json::{Map, json};
 use super::super::Unet;
 use super::*;
 
-fn file(value: Value) -> Map<String, Value> {
+fn file(value: &Value) -> Map<String, Value> {
     value.as_object().unwrap().clone()
 }
 
@@ -24,7 +24,7 @@ fn released_file() -> Value {
 
 #[test]
 fn a_file_with_everything_needs_no_shapes() {
-    let config = Config::from_file(&file(released_file()), &BTreeMap::new()).unwrap();
+    let config = Config::from_file(&file(&released_file()), &BTreeMap::new()).unwrap();
     assert_eq!(config, Config::released());
     assert_eq!(config.granularity(), 8);
     assert_eq!(
@@ -55,15 +55,15 @@ fn shapes_tell_what_a_file_lacks() {
             shapes.insert("camera_embed.0.weight".to_owned(), vec![256, camera]);
         }
         let only = json!({"num_head_channels": config.num_head_channels});
-        assert_eq!(Config::from_file(&file(only), &shapes).unwrap(), config);
+        assert_eq!(Config::from_file(&file(&only), &shapes).unwrap(), config);
         let other = json!({"num_head_channels": 16, "context_dim": null});
         assert_eq!(
-            Config::from_file(&file(other), &shapes)
+            Config::from_file(&file(&other), &shapes)
                 .unwrap()
                 .num_head_channels,
             16
         );
-        let none = Config::from_file(&file(json!({"in_channels": 9})), &shapes);
+        let none = Config::from_file(&file(&json!({"in_channels": 9})), &shapes);
         let message = none.unwrap_err().to_string();
         assert!(message.contains("num_head_channels"), "{message}");
     }
@@ -104,8 +104,8 @@ fn attention_can_be_limited_to_the_first_blocks() {
 #[test]
 fn what_cannot_be_is_refused_with_its_key() {
     let with = |change: Value| {
-        let mut all = file(released_file());
-        all.extend(file(change));
+        let mut all = file(&released_file());
+        all.extend(file(&change));
         Config::from_file(&all, &BTreeMap::new()).map(|_| ())
     };
     with(json!({})).unwrap();
