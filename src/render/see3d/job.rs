@@ -52,7 +52,6 @@ impl Part {
             "carried": self.carried,
             "views": self.targets,
             "unet": unet,
-            "compact": way.compact,
             "tile": way.tile,
         })
     }

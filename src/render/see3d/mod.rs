@@ -59,7 +59,7 @@ impl See3d {
     /// With the weights that were found for these settings. They are read when they are needed.
     pub fn new(weights: See3dWeights, params: &See3dParams) -> Self {
         Self {
-            settings: Settings::new(params, weights.are_made_up()),
+            settings: Settings::new(params, weights.are_tiny()),
             max_memory: params.max_memory,
             weights,
         }

@@ -46,28 +46,24 @@ pub(super) struct Way {
     pub(super) stays: bool,
     /// Whether the network is asked with and without the condition one after the other.
     pub(super) in_turn: bool,
-    /// Whether numbers of half precision stay what they are.
-    pub(super) compact: bool,
     /// Side of the tiles in which pictures are encoded and decoded, in pixels, if they are smaller than
     /// the original's.
     pub(super) tile: Option<usize>,
 }
 
 /// From what is fast to what is small, the least harm first: the first three change time alone.
-const WAYS: [Way; 6] = [
-    way(true, false, false, None),
-    way(false, false, false, None),
-    way(false, true, false, None),
-    way(false, true, true, None),
-    way(false, true, true, Some(256)),
-    way(false, true, true, Some(128)),
+const WAYS: [Way; 5] = [
+    way(true, false, None),
+    way(false, false, None),
+    way(false, true, None),
+    way(false, true, Some(256)),
+    way(false, true, Some(128)),
 ];
 
-const fn way(stays: bool, in_turn: bool, compact: bool, tile: Option<usize>) -> Way {
+const fn way(stays: bool, in_turn: bool, tile: Option<usize>) -> Way {
     Way {
         stays,
         in_turn,
-        compact,
         tile,
     }
 }
@@ -175,7 +171,7 @@ impl Job<'_> {
             .weights
             .unet_is_half(stage, self.photos, numbers)
             .map_err(known)?;
-        let weights = match way.compact && is_half {
+        let weights = match is_half {
             true => unet.compact_weights,
             false => unet.weights,
         };
@@ -287,7 +283,6 @@ impl Plan {
         let Way {
             stays,
             in_turn,
-            compact,
             tile,
         } = self.way;
         let mut all = Vec::new();
@@ -296,9 +291,6 @@ impl Plan {
         }
         if in_turn {
             all.push("its halves run one after the other".into());
-        }
-        if compact {
-            all.push("weights stay in half precision if they are in it".into());
         }
         all.extend(tile.map(|side| format!("pictures are coded in tiles of {side} pixels")));
         (!all.is_empty()).then(|| format!("so that memory suffices: {}", all.join(", ")))

@@ -131,17 +131,17 @@ impl<'a> Run<'a> {
 
     /// Runs the encoders of texts and photos, one after the other.
     fn look(&mut self, progress: &dyn Progress) -> Result<()> {
-        let (weights, compact) = (&self.see3d.weights, self.plan.way.compact);
+        let weights = &self.see3d.weights;
         let best: BTreeSet<usize> = self.guides.values().map(|guides| guides[0]).collect();
         progress.begin("looking at photos", 1 + best.len());
         let ids = &weights.text_encoder_config()?.empty_prompt;
         let ids = Tensor::new(ids.as_slice(), &Device::Cpu).and_then(|ids| ids.unsqueeze(0));
-        let encoder = weights.text_encoder(compact)?;
+        let encoder = weights.text_encoder()?;
         let text = ids.and_then(|ids| encoder.forward(&ids)).map_err(failed)?;
         drop(encoder);
         self.text = Some(text);
         progress.advance(1);
-        let (encoder, frame) = (weights.image_encoder(compact)?, weights.clip_frame()?);
+        let (encoder, frame) = (weights.image_encoder()?, weights.clip_frame()?);
         let side = self.settings().side(Stage::Main);
         for photo in best {
             let seen = squashed(&self.views.references[photo].colour, [side, side]);
@@ -172,7 +172,7 @@ impl<'a> Run<'a> {
             other => {
                 // One goes before the next comes.
                 drop(other);
-                weights.unet(part.stage, photos, self.plan.way.compact)?
+                weights.unet(part.stage, photos)?
             }
         };
         let mut noise = PartNoise {
@@ -305,7 +305,6 @@ impl<'a> Run<'a> {
             "photos": photos,
             "carried": names(&mut part.carried.iter().copied()),
             "together_with": names(&mut part.targets.clone()),
-            "compact": self.plan.way.compact,
             "tile": self.plan.way.tile,
         }))
     }

@@ -52,16 +52,16 @@ pub(super) struct Settings {
 }
 
 impl Settings {
-    /// With weights that are made up, everything is small unless it was said how large.
-    pub(super) fn new(params: &See3dParams, made_up: bool) -> Self {
-        let released = |stage: Stage| match (made_up, params.quality) {
+    /// With tiny weights, which are made up, everything is small unless it was said how large.
+    pub(super) fn new(params: &See3dParams, tiny: bool) -> Self {
+        let released = |stage: Stage| match (tiny, params.quality) {
             (true, _) => 5,
             (false, Quality::Fast) => 15,
             (false, Quality::Exact) => Sampler::released(stage.variant()).steps as u32,
         };
         let main = params.steps.unwrap_or_else(|| released(Stage::Main));
         Self {
-            size: params.size.unwrap_or(if made_up { 64 } else { 512 }),
+            size: params.size.unwrap_or(if tiny { 64 } else { 512 }),
             references: params.references,
             group: params.group,
             quality: params.quality,

@@ -167,7 +167,6 @@ fn more_frames_take_more_of_everything() {
     let way = Way {
         stays: true,
         in_turn: false,
-        compact: false,
         tile: None,
     };
     let bytes = |views, photos, group| job(views, photos).bytes(&Plan { group, way }).unwrap();

@@ -26,6 +26,8 @@ const SUPER_RESOLUTION: &str = "see3d-super-resolution";
 const VAE: &str = "see3d-vae";
 const IMAGE_ENCODER: &str = "see3d-image-encoder";
 const TEXT_ENCODER: &str = "see3d-text-encoder";
+/// Numbers of half precision stay what they are in memory: results are the same, and no slower.
+const COMPACT: bool = true;
 
 /// The weights of See3D's networks.
 #[derive(Debug)]
@@ -129,6 +131,13 @@ impl See3dWeights {
         })
     }
 
+    /// Whether they are made up, and of a network so small that it runs in moments.
+    pub(super) fn are_tiny(&self) -> bool {
+        let released = |found: &Found| found.file.config == found.network.released();
+        let mut unets = [&self.sparse, &self.single].into_iter().flatten();
+        self.are_made_up() && !unets.any(released)
+    }
+
     /// The network that denoises frames with so many photos among them.
     fn unet_of(&self, stage: Stage, photos: usize) -> Result<&Found> {
         let found = match stage {
@@ -196,16 +205,16 @@ impl See3dWeights {
         Ok(size.len() < 3 * numbers as u64)
     }
 
-    pub(super) fn unet(&self, stage: Stage, photos: usize, compact: bool) -> Result<Unet> {
+    pub(super) fn unet(&self, stage: Stage, photos: usize) -> Result<Unet> {
         let found = self.unet_of(stage, photos)?;
-        network(found, compact, |config, weights| match config {
+        network(found, COMPACT, |config, weights| match config {
             Config::Unet(config) => Some(Unet::with_precision(&config.unet, PRECISION, weights)),
             _ => None,
         })
     }
 
     pub(super) fn encoder(&self, tiling: Tiling) -> Result<Encoder> {
-        let weights = weights::open(&self.vae, false)?;
+        let weights = weights::open(&self.vae, COMPACT)?;
         let encoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Encoder::new(config, weights)),
             _ => None,
@@ -214,7 +223,7 @@ impl See3dWeights {
     }
 
     pub(super) fn decoder(&self, tiling: Tiling) -> Result<Decoder> {
-        let weights = weights::open(&self.vae, false)?;
+        let weights = weights::open(&self.vae, COMPACT)?;
         let decoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Decoder::new(config, weights)),
             _ => None,
@@ -222,10 +231,10 @@ impl See3dWeights {
         Ok(decoder.with_tiling(tiling))
     }
 
-    pub(super) fn image_encoder(&self, compact: bool) -> Result<VisionEncoder> {
+    pub(super) fn image_encoder(&self) -> Result<VisionEncoder> {
         network(
             &self.image_encoder,
-            compact,
+            COMPACT,
             |config, weights| match config {
                 Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
                 _ => None,
@@ -233,10 +242,10 @@ impl See3dWeights {
         )
     }
 
-    pub(super) fn text_encoder(&self, compact: bool) -> Result<TextEncoder> {
+    pub(super) fn text_encoder(&self) -> Result<TextEncoder> {
         network(
             &self.text_encoder,
-            compact,
+            COMPACT,
             |config, weights| match config {
                 Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
                 _ => None,
