@@ -10,7 +10,7 @@
 //! it for constant. DPM-Solver++ (Lu et al. 2022) takes it for linear in the logarithm of signal to noise; that is
 //! infinite at the start here, where there is nothing but noise, and the step after the start would be
 //! of first order. Linear in the *angle* there is no such place, neither at the start nor at an end without
-//! noise, and the integral has a closed form ([`Segment`]).
+//! noise, and the integral has a closed form (`Segment`).
 //!
 //! A step extrapolates the line through the last two predictions. When the network has been asked at its end,
 //! the step is done again with the line through the predictions at both ends (the corrector of UniPC; Zhao et
