@@ -140,7 +140,7 @@ impl Winograd {
                 (6, 4) => layer.run::<6, 4, 3, 9>(x),
                 (6, 2) => layer.run::<6, 2, 5, 25>(x),
                 (10, 6) => layer.run::<10, 6, 5, 25>(x),
-                sizes => unreachable!("no scheme has these sizes: {sizes:?}"),
+                sizes => bail!("no scheme of Winograd's has these sizes: {sizes:?}"),
             }
         }
         Ok(())
