@@ -59,7 +59,7 @@ pub fn causal_attention(q: &Tensor, k: &Tensor, v: &Tensor, heads: usize) -> Res
 fn masked(q: &Tensor, memories: &[Memory], heads: usize, mask: Option<&[f32]>) -> Result<Tensor> {
     let of_host = |memory: &Memory| HostTensor::fits(&memory.k) && HostTensor::fits(&memory.v);
     if HostTensor::fits(q) && memories.iter().all(of_host) {
-        cpu::attention(Isa::current()?, q, memories, heads, mask)
+        cpu::attention(Isa::current()?, q, memories, heads, mask, false)
     } else {
         plain(q, memories, heads, mask)
     }
@@ -305,7 +305,7 @@ mod tests {
                 .collect();
             let want = plain(&q, &memories, heads, None).unwrap();
             for isa in Isa::available() {
-                let got = cpu::attention(isa, &q, &memories, heads, None).unwrap();
+                let got = cpu::attention(isa, &q, &memories, heads, None, false).unwrap();
                 prop_assert_eq!(got.dims(), want.dims());
                 for (got, want) in flat(&got).iter().zip(flat(&want)) {
                     // Scores go up to some 40 here, of which 1e-6 is lost in both.
@@ -352,7 +352,7 @@ mod tests {
             memory(-1e3, 2.0, 700),
         ];
         for isa in Isa::available() {
-            let got = cpu::attention(isa, &q, &memories, 1, None).unwrap();
+            let got = cpu::attention(isa, &q, &memories, 1, None, false).unwrap();
             for got in flat(&got) {
                 assert!((got - 7.0).abs() < 1e-5, "{isa}: {got}");
             }

@@ -82,7 +82,7 @@ pub fn window_attention(
     bias.check(window, heads, dim)?;
     let of_host = |memory: &Memory| HostTensor::fits(&memory.k) && HostTensor::fits(&memory.v);
     if HostTensor::fits(q) && of_host(memory) && of_host(beyond) && bias.is_of_host() {
-        cpu::window_attention(Isa::current()?, q, memory, beyond, window, bias)
+        cpu::window_attention(Isa::current()?, q, memory, beyond, window, bias, false)
     } else {
         plain(q, memory, beyond, window, bias)
     }
@@ -270,7 +270,7 @@ mod tests {
             };
             let want = plain(&q, &memory, &beyond, window, &bias).unwrap();
             for isa in Isa::available() {
-                let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias).unwrap();
+                let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias, false).unwrap();
                 prop_assert_eq!(got.dims(), want.dims());
                 for (got, want) in flat(&got).iter().zip(flat(&want)) {
                     prop_assert!((got - want).abs() < 2e-4, "{isa}: {got} {want}");
@@ -294,7 +294,8 @@ mod tests {
         for bias in [ScoreBias::None, table, relative] {
             let want = plain(&q, &memory, &beyond, window, &bias).unwrap();
             for isa in Isa::available() {
-                let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias).unwrap();
+                let got =
+                    cpu::window_attention(isa, &q, &memory, &beyond, window, &bias, false).unwrap();
                 for (got, want) in flat(&got).iter().zip(flat(&want)) {
                     assert!((got - want).abs() < 2e-4, "{isa}: {got} {want}");
                 }

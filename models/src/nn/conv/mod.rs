@@ -332,8 +332,9 @@ impl Conv2d {
                 steps: self.steps,
             };
             let fast = self.precision == Precision::Fast;
+            let half = self.parameters.compute_type() == ComputeType::Bf16;
             Ok(Prepared {
-                convolution: Convolution::new(Isa::current()?, filter, fast)?,
+                convolution: Convolution::new(Isa::current()?, filter, fast, half)?,
                 bias: folded.bias,
             })
         };

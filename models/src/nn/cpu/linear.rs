@@ -6,6 +6,7 @@ use super::gemm::{gated_into, gemm_into};
 use super::shared::filled;
 use super::{Epilogue, Factor, HostTensor, Isa, Matrix};
 use crate::nn::Activation;
+use crate::nn::profile::{Operation, Timer};
 use crate::weights::Numbers;
 
 /// `activation(x W^T + bias) + residual`; `x` is (.., inputs), `weight` (outputs, inputs), the result
@@ -28,6 +29,7 @@ pub(in crate::nn) fn linear(
     let b = factor(weight, inputs)?;
     let (rows, outputs) = (outer.iter().product(), b.columns());
     let shape = [outer, &[outputs]].concat();
+    let _timer = Timer::start(Operation::Linear, rows * inputs * outputs);
     if let Some(residual) = residual
         && residual.dims() != shape
     {
@@ -74,6 +76,7 @@ pub(in crate::nn) fn gated_linear(
     };
     let factor = factor(weight, inputs)?;
     let (rows, outputs) = (outer.iter().product(), factor.columns() / 2);
+    let _timer = Timer::start(Operation::Linear, rows * inputs * factor.columns());
     let x = x.contiguous()?;
     let x = HostTensor::new(&x)?;
     let a = Matrix::new(x.data()?, rows, inputs, inputs)?;

@@ -9,6 +9,8 @@ use crate::nn::Activation;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Way {
     Gathered,
+    /// Of numbers rounded to bf16.
+    Pairs,
     Shifted,
     Winograd(Scheme),
 }
@@ -16,7 +18,8 @@ enum Way {
 impl Way {
     fn prepare(self, isa: Isa, filter: Filter<'_>) -> Convolution {
         match self {
-            Self::Gathered => Gathered::new(isa, filter).map(Convolution::Gathered),
+            Self::Gathered => Gathered::new(isa, filter, false).map(Convolution::Gathered),
+            Self::Pairs => Gathered::new(isa, filter, true).map(Convolution::Gathered),
             Self::Shifted => Shifted::new(isa, filter).map(Convolution::Shifted),
             Self::Winograd(scheme) => {
                 let way = Winograd::new(isa, filter, &[scheme]);
@@ -389,7 +392,7 @@ fn the_way_suits_the_layer() {
             weight: &Parameter::from_values([outputs, inputs, kernel, kernel], weights),
             steps: Steps::around(kernel, stride),
         };
-        match Convolution::new(isa, filter, fast).unwrap() {
+        match Convolution::new(isa, filter, fast, false).unwrap() {
             Convolution::Winograd(_) => "winograd",
             Convolution::Gathered(_) => "gathered",
             Convolution::Shifted(_) => "shifted",
