@@ -43,23 +43,19 @@ pub(crate) fn damaged(found: &Found, problem: &dyn Display) -> Error {
     )
 }
 
-/// The weights themselves, mapped; if `compact`, to be kept in memory as they are in the file.
-pub(crate) fn open(found: &Found, compact: bool) -> Result<Weights, Error> {
-    let open = match compact {
-        true => Weights::open_compact,
-        false => Weights::open,
-    };
-    open(&found.weights, &Device::Cpu).map_err(|error| damaged(found, &network_problem(&error)))
+/// The weights themselves, mapped.
+pub(crate) fn open(found: &Found) -> Result<Weights, Error> {
+    Weights::open(&found.weights, &Device::Cpu)
+        .map_err(|error| damaged(found, &network_problem(&error)))
 }
 
-/// Builds a network of all tensors of the weights that were found, opened as `compact` says; `build` gives
-/// `None` for another network's configuration.
+/// Builds a network of all tensors of the weights that were found; `build` gives `None` for another
+/// network's configuration.
 pub(crate) fn network<N>(
     found: &Found,
-    compact: bool,
     build: impl FnOnce(&Config, &Weights) -> Option<candle_core::Result<N>>,
 ) -> Result<N, Error> {
-    let weights = open(found, compact)?;
+    let weights = open(found)?;
     let network = part(found, &weights, build)?;
     match weights.unused().first() {
         None => Ok(network),

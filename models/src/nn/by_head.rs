@@ -21,7 +21,7 @@ impl Linear {
     /// If `y` has other channels or `heads` does not divide them.
     pub fn pull_back(&self, y: &Tensor, heads: usize) -> Result<(Tensor, Tensor)> {
         let dim = self.check_heads(y, self.outputs, self.outputs, heads)?;
-        let vectors = match self.weight.host() {
+        let vectors = match self.weight.widened() {
             Some(weight) if HostTensor::fits(y) => {
                 by_head(y, heads, heads * self.inputs, None, |h| {
                     let rows = &weight[h * dim * self.inputs..];
@@ -61,7 +61,7 @@ impl Linear {
         let dim = self.check_heads(x, self.inputs, self.outputs, heads)?;
         let outer = &x.dims()[..x.rank() - 2];
         let x = x.flatten_from(x.rank() - 2)?;
-        let y = match self.weight.host() {
+        let y = match self.weight.widened() {
             Some(weight) if HostTensor::fits(&x) => {
                 let bias = self.bias.as_ref().and_then(|bias| bias.host());
                 by_head(&x, heads, self.outputs, bias, |h| {
@@ -94,7 +94,7 @@ impl Linear {
     /// If `x` has other channels or `heads` does not divide them.
     pub fn shares(&self, x: &Tensor, heads: usize) -> Result<Tensor> {
         let dim = self.check_heads(x, self.inputs, self.inputs, heads)?;
-        let shares = match self.weight.host() {
+        let shares = match self.weight.widened() {
             Some(weight) if HostTensor::fits(x) => {
                 by_head(x, heads, heads * self.outputs, None, |h| {
                     let part = Matrix::new(&weight[h * dim..], self.outputs, dim, self.inputs)?;

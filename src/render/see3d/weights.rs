@@ -26,8 +26,6 @@ const SUPER_RESOLUTION: &str = "see3d-super-resolution";
 const VAE: &str = "see3d-vae";
 const IMAGE_ENCODER: &str = "see3d-image-encoder";
 const TEXT_ENCODER: &str = "see3d-text-encoder";
-/// Numbers of half precision stay what they are in memory: results are the same, and no slower.
-const COMPACT: bool = true;
 
 /// The weights of See3D's networks.
 #[derive(Debug)]
@@ -207,14 +205,14 @@ impl See3dWeights {
 
     pub(super) fn unet(&self, stage: Stage, photos: usize) -> Result<Unet> {
         let found = self.unet_of(stage, photos)?;
-        network(found, COMPACT, |config, weights| match config {
+        network(found, |config, weights| match config {
             Config::Unet(config) => Some(Unet::with_precision(&config.unet, PRECISION, weights)),
             _ => None,
         })
     }
 
     pub(super) fn encoder(&self, tiling: Tiling) -> Result<Encoder> {
-        let weights = weights::open(&self.vae, COMPACT)?;
+        let weights = weights::open(&self.vae)?;
         let encoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Encoder::new(config, weights)),
             _ => None,
@@ -223,7 +221,7 @@ impl See3dWeights {
     }
 
     pub(super) fn decoder(&self, tiling: Tiling) -> Result<Decoder> {
-        let weights = weights::open(&self.vae, COMPACT)?;
+        let weights = weights::open(&self.vae)?;
         let decoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Decoder::new(config, weights)),
             _ => None,
@@ -232,25 +230,17 @@ impl See3dWeights {
     }
 
     pub(super) fn image_encoder(&self) -> Result<VisionEncoder> {
-        network(
-            &self.image_encoder,
-            COMPACT,
-            |config, weights| match config {
-                Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
-                _ => None,
-            },
-        )
+        network(&self.image_encoder, |config, weights| match config {
+            Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
+            _ => None,
+        })
     }
 
     pub(super) fn text_encoder(&self) -> Result<TextEncoder> {
-        network(
-            &self.text_encoder,
-            COMPACT,
-            |config, weights| match config {
-                Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
-                _ => None,
-            },
-        )
+        network(&self.text_encoder, |config, weights| match config {
+            Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
+            _ => None,
+        })
     }
 
     /// How the image encoder wants pictures.

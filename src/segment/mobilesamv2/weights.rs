@@ -72,11 +72,11 @@ impl MobileSamWeights {
     /// When weights are damaged, lack a tensor, or have one too many.
     pub(super) fn networks(&self) -> Result<Networks> {
         Ok(Networks {
-            detector: network(&self.detector, false, |config, weights| match config {
+            detector: network(&self.detector, |config, weights| match config {
                 Config::Detector(config) => Some(Detector::new(config, weights)),
                 _ => None,
             })?,
-            encoder: network(&self.encoder, false, |config, weights| match config {
+            encoder: network(&self.encoder, |config, weights| match config {
                 Config::EfficientVit(config) => {
                     Some(EfficientVit::new(config, weights).map(ImageEncoder::EfficientVit))
                 }
@@ -86,7 +86,7 @@ impl MobileSamWeights {
                 Config::Vit(config) => Some(Vit::new(config, weights).map(ImageEncoder::Vit)),
                 _ => None,
             })?,
-            decoder: network(&self.decoder, false, |config, weights| match config {
+            decoder: network(&self.decoder, |config, weights| match config {
                 Config::Decoder(config) => Some(Decoder::new(config, weights)),
                 _ => None,
             })?,

@@ -6,10 +6,10 @@ use candle_core::{Device, Error, Result, Tensor, bail};
 
 use super::parameters::Parameters;
 use super::regular;
-use crate::Weights;
 use crate::nn::cpu::conv::{Depthwise, Images, Pixels};
 use crate::nn::cpu::{HostTensor, Isa};
 use crate::nn::{Activation, BatchNorm2d};
+use crate::{ComputeType, Weights};
 
 /// A 2D convolution of each channel by itself, with an odd square kernel and `kernel / 2` zeros around
 /// the image (Howard et al. 2017). With stride `s`, `height` becomes `height / s`, rounded up, and
@@ -63,7 +63,8 @@ impl DepthwiseConv2d {
         }
         let shape = [channels, 1, kernel, kernel];
         Ok(Self {
-            parameters: Parameters::new(&shape, bias, weights)?,
+            // So few weights are multiplied in f32 whatever others are.
+            parameters: Parameters::new(&shape, bias, &weights.clone().in_type(ComputeType::F32))?,
             stride: 1,
             prepared: Arc::default(),
         })
@@ -140,8 +141,8 @@ impl DepthwiseConv2d {
                 bail!("the weights of this convolution are not on the CPU");
             };
             let isa = Isa::current()?;
-            let weight = folded.weight.host().unwrap_or_default();
-            Depthwise::new(isa, weight, &folded.bias, self.kernel(), self.stride)
+            let weight = folded.weight.widened().unwrap_or_default();
+            Depthwise::new(isa, &weight, &folded.bias, self.kernel(), self.stride)
         };
         let prepared = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
         prepared.as_ref().map_err(|e| Error::Msg(e.clone()))

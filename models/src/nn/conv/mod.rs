@@ -42,8 +42,7 @@ pub enum Precision {
 /// last.
 ///
 /// On a CPU, Winograd's algorithm is used for 3x3 and 5x5 kernels of stride 1 with at least 32 channels.
-/// It uses the weights as they were read, also if that is in half precision
-/// ([`Weights::open_compact`]). For other kernels, they are laid out in f32 when [`Self::forward`] is first
+/// It uses the weights as they were read, also if that is in half precision. For other kernels, they are laid out in f32 when [`Self::forward`] is first
 /// called, and shared by clones; that takes as much memory again.
 #[derive(Clone)]
 pub struct Conv2d {

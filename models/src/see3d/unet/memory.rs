@@ -12,8 +12,7 @@ pub struct Memory {
     /// What stays from one call to the next: the weights, in f32 (mapped pages of the file, or a widened
     /// copy), and those of some convolutions once more, as they are laid out for the kernels.
     pub weights: usize,
-    /// The same if a file in half precision is opened by
-    /// [`Weights::open_compact`](crate::Weights::open_compact).
+    /// The same of a file in half precision.
     pub compact_weights: usize,
     /// Everything else of a call: the maps that are alive at once where they take most.
     pub working: usize,

@@ -1,0 +1,62 @@
+//! What layers compute with.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// The type of the numbers that layers multiply on a CPU. Sums, norms, softmaxes and whatever passes from one
+/// layer to the next are in f32 in either case.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ComputeType {
+    /// Single precision.
+    #[default]
+    F32,
+    /// The upper half of single precision: its range, and 8 significant bits.
+    Bf16,
+}
+
+impl ComputeType {
+    /// Every type, the default first.
+    pub const ALL: [Self; 2] = [Self::F32, Self::Bf16];
+
+    /// What people call it: what [`Self::from_str`] takes.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::Bf16 => "bf16",
+        }
+    }
+}
+
+impl fmt::Display for ComputeType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for ComputeType {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let named = Self::ALL.into_iter().find(|of| of.name() == text);
+        named.ok_or_else(|| format!("'{text}' is neither f32 nor bf16"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back() {
+        for of in ComputeType::ALL {
+            assert_eq!(of.to_string().parse(), Ok(of));
+            let written = serde_json::to_string(&of).unwrap();
+            assert_eq!(written, format!("\"{of}\""));
+        }
+        assert_eq!(ComputeType::default(), ComputeType::F32);
+        assert!("f16".parse::<ComputeType>().is_err());
+    }
+}

@@ -1,0 +1,135 @@
+//! A safetensors file in memory.
+
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::fs::File;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use candle_core::{Error, Result, bail};
+use half::{bf16, f16};
+use memmap2::Mmap;
+use rayon::prelude::*;
+use safetensors::{Dtype, SafeTensors};
+
+use super::parameter::{Kind, Values};
+
+/// What of a tensor is wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Wanted {
+    /// f32, whatever the file has.
+    Single,
+    /// As it is in the file.
+    Stored,
+    /// bf16, whatever the file has.
+    Rounded,
+}
+
+pub(super) struct MappedFile {
+    path: PathBuf,
+    map: Arc<Mmap>,
+    tensors: BTreeMap<String, Entry>,
+}
+
+struct Entry {
+    shape: Vec<usize>,
+    dtype: Dtype,
+    bytes: Range<usize>,
+}
+
+impl MappedFile {
+    /// The file at `path`, mapped.
+    ///
+    /// # Errors
+    ///
+    /// If it cannot be opened or mapped, or is no safetensors file.
+    pub(super) fn open(path: &Path) -> Result<Self> {
+        let problem = |text: &dyn Display| Error::Msg(format!("{}: {text}", path.display()));
+        let file = File::open(path).map_err(|e| problem(&e))?;
+        // SAFETY: a mapping is unsound if another process changes the file meanwhile. The file is
+        // opened for reading, tid3r never changes a checkpoint in place (it writes a new file and
+        // renames), and whatever bytes are read are valid numbers.
+        #[expect(
+            unsafe_code,
+            reason = "mapping a file is unsafe, and copying it is not wanted"
+        )]
+        let map = unsafe { Mmap::map(&file) }.map_err(|e| problem(&e))?;
+        let tensors = SafeTensors::deserialize(&map)
+            .map_err(|e| problem(&format!("not a whole safetensors file ({e})")))?
+            .iter()
+            .map(|(name, view)| {
+                let start = view.data().as_ptr() as usize - map.as_ptr() as usize;
+                let entry = Entry {
+                    shape: view.shape().to_vec(),
+                    dtype: view.dtype(),
+                    bytes: start..start + view.data().len(),
+                };
+                (name.to_owned(), entry)
+            })
+            .collect();
+        Ok(Self {
+            path: path.to_path_buf(),
+            map: Arc::new(map),
+            tensors,
+        })
+    }
+
+    /// The names of all tensors, in order.
+    pub(super) fn names(&self) -> impl Iterator<Item = &String> {
+        self.tensors.keys()
+    }
+
+    /// A tensor's values as they are `wanted`.
+    ///
+    /// # Errors
+    ///
+    /// If there is none of that name, or it has another shape or a type that is no float.
+    pub(super) fn get(&self, name: &str, shape: &[usize], wanted: Wanted) -> Result<Values> {
+        let path = self.path.display();
+        let Some(entry) = self.tensors.get(name) else {
+            bail!("{path}: the tensor {name} {shape:?} is missing");
+        };
+        if entry.shape != shape {
+            bail!(
+                "{path}: the tensor {name} has shape {:?} where {shape:?} is wanted",
+                entry.shape
+            );
+        }
+        let bytes = &self.map[entry.bytes.clone()];
+        let mapped = |kind| Values::Mapped {
+            map: Arc::clone(&self.map),
+            bytes: entry.bytes.clone(),
+            kind,
+        };
+        let aligned = |size: usize| bytes.as_ptr().align_offset(size) == 0;
+        let of_f16 = |bytes| f16::from_le_bytes(bytes).to_f32();
+        let of_bf16 = |bytes| bf16::from_le_bytes(bytes).to_f32();
+        Ok(match (entry.dtype, wanted) {
+            (Dtype::F32, Wanted::Single | Wanted::Stored) if aligned(4) => mapped(Kind::F32),
+            (Dtype::F16, Wanted::Stored) if aligned(2) => mapped(Kind::F16),
+            (Dtype::BF16, Wanted::Stored | Wanted::Rounded) if aligned(2) => mapped(Kind::Bf16),
+            (Dtype::F32, Wanted::Rounded) => rounded(bytes, f32::from_le_bytes),
+            (Dtype::F16, Wanted::Rounded) => rounded(bytes, of_f16),
+            (Dtype::BF16, Wanted::Rounded) => rounded(bytes, of_bf16),
+            (Dtype::F32, _) => widened(bytes, f32::from_le_bytes),
+            (Dtype::F16, _) => widened(bytes, of_f16),
+            (Dtype::BF16, _) => widened(bytes, of_bf16),
+            (other, _) => {
+                bail!("{path}: the tensor {name} is of type {other:?}, which is no float")
+            }
+        })
+    }
+}
+
+fn widened<const N: usize>(bytes: &[u8], value: impl Fn([u8; N]) -> f32 + Sync) -> Values {
+    let (elements, _) = bytes.as_chunks::<N>();
+    Values::Single(elements.par_iter().map(|&element| value(element)).collect())
+}
+
+/// To the nearest, of two as near to the even one.
+fn rounded<const N: usize>(bytes: &[u8], value: impl Fn([u8; N]) -> f32 + Sync) -> Values {
+    let (elements, _) = bytes.as_chunks::<N>();
+    let round = |&element: &[u8; N]| bf16::from_f32(value(element));
+    Values::Rounded(elements.par_iter().map(round).collect())
+}

@@ -1,0 +1,192 @@
+//! One tensor of a network.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::ops::Range;
+use std::sync::Arc;
+
+use candle_core::{Device, Result, Tensor, bail};
+use half::{bf16, f16};
+use memmap2::Mmap;
+use rayon::prelude::*;
+
+/// One tensor of a network.
+#[derive(Clone, Debug)]
+pub struct Parameter {
+    shape: Vec<usize>,
+    pub(super) values: Values,
+}
+
+#[derive(Clone)]
+pub(super) enum Values {
+    /// Part of a mapped file, aligned for its kind of numbers.
+    Mapped {
+        map: Arc<Mmap>,
+        bytes: Range<usize>,
+        kind: Kind,
+    },
+    Single(Arc<[f32]>),
+    Rounded(Arc<[bf16]>),
+    /// On a device that is no CPU.
+    Device(Tensor),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    F32,
+    F16,
+    Bf16,
+}
+
+/// Numbers in the CPU's memory as they are stored.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Numbers<'a> {
+    F32(&'a [f32]),
+    F16(&'a [f16]),
+    Bf16(&'a [bf16]),
+}
+
+impl Numbers<'_> {
+    /// How many they are.
+    pub(crate) fn len(&self) -> usize {
+        match self {
+            Self::F32(values) => values.len(),
+            Self::F16(values) => values.len(),
+            Self::Bf16(values) => values.len(),
+        }
+    }
+}
+
+impl fmt::Debug for Values {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Mapped { kind, .. } => return write!(f, "mapped {kind:?}"),
+            Self::Single(_) => "f32",
+            Self::Rounded(_) => "bf16",
+            Self::Device(_) => "on a device",
+        })
+    }
+}
+
+impl Parameter {
+    pub(super) fn new(shape: Vec<usize>, values: Values, device: &Device) -> Result<Self> {
+        let mut parameter = Self { shape, values };
+        if !device.is_cpu() {
+            let tensor = parameter.tensor()?.to_device(device)?;
+            parameter.values = Values::Device(tensor);
+        }
+        Ok(parameter)
+    }
+
+    /// A parameter on the CPU with these values, row-major.
+    ///
+    /// # Panics
+    ///
+    /// If `values` are not as many as `shape` says.
+    pub fn from_values(shape: impl Into<Vec<usize>>, values: Vec<f32>) -> Self {
+        let shape = shape.into();
+        assert_eq!(values.len(), shape.iter().product::<usize>());
+        Self {
+            shape,
+            values: Values::Single(values.into()),
+        }
+    }
+
+    /// A parameter with the values of `tensor` (f32), on its device.
+    ///
+    /// # Errors
+    ///
+    /// Those of candle.
+    pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
+        let values = match tensor.device() {
+            Device::Cpu => Values::Single(tensor.flatten_all()?.to_vec1()?.into()),
+            _ => Values::Device(tensor.clone()),
+        };
+        Ok(Self {
+            shape: tensor.dims().to_vec(),
+            values,
+        })
+    }
+
+    /// Sizes, outermost first.
+    pub fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// The values, row-major, if they are on the CPU and in f32.
+    pub fn host(&self) -> Option<&[f32]> {
+        match self.numbers()? {
+            Numbers::F32(values) => Some(values),
+            Numbers::F16(_) | Numbers::Bf16(_) => None,
+        }
+    }
+
+    /// The values, row-major, if they are on the CPU.
+    pub(crate) fn numbers(&self) -> Option<Numbers<'_>> {
+        match &self.values {
+            Values::Mapped { map, bytes, kind } => {
+                let bytes = &map[bytes.clone()];
+                Some(match kind {
+                    Kind::F32 => Numbers::F32(bytemuck::cast_slice(bytes)),
+                    Kind::F16 => Numbers::F16(bytemuck::cast_slice(bytes)),
+                    Kind::Bf16 => Numbers::Bf16(bytemuck::cast_slice(bytes)),
+                })
+            }
+            Values::Single(values) => Some(Numbers::F32(values)),
+            Values::Rounded(values) => Some(Numbers::Bf16(values)),
+            Values::Device(_) => None,
+        }
+    }
+
+    /// The values in f32, row-major, if they are on the CPU.
+    pub(crate) fn widened(&self) -> Option<Cow<'_, [f32]>> {
+        Some(match self.numbers()? {
+            Numbers::F32(values) => Cow::Borrowed(values),
+            Numbers::F16(values) => values.par_iter().map(|x| x.to_f32()).collect(),
+            Numbers::Bf16(values) => values.par_iter().map(|x| x.to_f32()).collect(),
+        })
+    }
+
+    /// The rows of these numbers of a matrix, in this order: (rows, columns). So tokens get their
+    /// embeddings.
+    ///
+    /// # Errors
+    ///
+    /// If this is no matrix or has no such row.
+    pub fn rows(&self, indices: &[u32]) -> Result<Tensor> {
+        let &[rows, columns] = &self.shape[..] else {
+            bail!("rows of a matrix are wanted, this is {:?}", self.shape);
+        };
+        if let Some(index) = indices.iter().find(|&&index| index as usize >= rows) {
+            bail!("row {index} of {rows} is wanted");
+        }
+        match self.widened() {
+            Some(values) => {
+                let rows = indices.iter().map(|&index| index as usize * columns);
+                let values: Vec<f32> = rows
+                    .flat_map(|start| values[start..start + columns].iter().copied())
+                    .collect();
+                Tensor::from_vec(values, (indices.len(), columns), &Device::Cpu)
+            }
+            None => {
+                let tensor = self.tensor()?;
+                tensor.index_select(&Tensor::new(indices, tensor.device())?, 0)
+            }
+        }
+    }
+
+    /// As a candle tensor, where it is; on a CPU that is a copy.
+    ///
+    /// # Errors
+    ///
+    /// Those of candle.
+    pub fn tensor(&self) -> Result<Tensor> {
+        match &self.values {
+            Values::Device(tensor) => Ok(tensor.clone()),
+            Values::Mapped { .. } | Values::Single(_) | Values::Rounded(_) => {
+                let values = self.widened().unwrap_or_default();
+                Tensor::from_slice(&values, &self.shape[..], &Device::Cpu)
+            }
+        }
+    }
+}
