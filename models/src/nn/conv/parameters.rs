@@ -3,7 +3,7 @@
 use candle_core::{Result, Tensor, bail};
 
 use super::BatchNorm2d;
-use crate::{Parameter, Weights};
+use crate::{ComputeType, Parameter, Weights};
 
 /// What a convolution multiplies with and adds. A norm is folded in when weights are laid out for a
 /// kernel, so that until then they stay where they were read from.
@@ -14,6 +14,7 @@ pub(super) struct Parameters {
     /// (outputs).
     bias: Option<Parameter>,
     norm: Option<BatchNorm2d>,
+    compute_type: ComputeType,
 }
 
 /// Parameters with the norm folded in, in the CPU's memory.
@@ -33,6 +34,7 @@ impl Parameters {
             weight: weights.get_stored(shape, "weight")?,
             bias: bias.transpose()?,
             norm: None,
+            compute_type: weights.compute_type(),
         })
     }
 
@@ -52,6 +54,11 @@ impl Parameters {
             norm: Some(norm.clone()),
             ..self.clone()
         })
+    }
+
+    /// What is computed with.
+    pub(super) fn compute_type(&self) -> ComputeType {
+        self.compute_type
     }
 
     /// Sizes of the weight.

@@ -8,6 +8,7 @@ use candle_core::{Error, Result};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
 use super::simd::{Portable, Simd};
+use crate::ComputeType;
 
 /// An instruction set that this CPU has.
 ///
@@ -133,7 +134,7 @@ impl Isa {
 
 impl Isa {
     /// Whether pairs of bf16 are multiplied faster than numbers of f32.
-    pub(in crate::nn) fn multiplies_pairs(self) -> bool {
+    fn multiplies_pairs(self) -> bool {
         #[cfg(target_arch = "x86_64")]
         return self.0 == Kind::Avx512 { bf16: true };
         #[cfg(not(target_arch = "x86_64"))]
@@ -148,6 +149,13 @@ impl Isa {
             Kind::Avx512 { bf16: true } => unsafe { with_avx512_bf16(task) },
             _ => self.run(task),
         }
+    }
+}
+
+impl ComputeType {
+    /// Whether kernels of this instruction set multiply pairs of bf16 to compute with this type.
+    pub(in crate::nn) fn in_pairs(self, isa: Isa) -> bool {
+        self == Self::Bf16 && isa.multiplies_pairs()
     }
 }
 

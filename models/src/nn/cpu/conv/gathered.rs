@@ -92,8 +92,9 @@ impl Gathered {
         out: *mut f32,
     ) -> Result<()> {
         let rounded = match self.pairs {
-            true => (parts.iter().map(|part| self.rounded(images, part)))
-                .collect::<Result<Vec<_>>>()?,
+            true => {
+                (parts.iter().map(|part| self.rounded(images, part))).collect::<Result<Vec<_>>>()?
+            }
             false => Vec::new(),
         };
         let in_pairs: Vec<Part<'_>> = (parts.iter().zip(&rounded))

@@ -136,9 +136,14 @@ pub(in crate::nn) enum Convolution {
 }
 
 impl Convolution {
-    /// For `filter`; `fast` allows the larger errors of the larger tiles, `half` those of multiplying numbers
-    /// rounded to bf16, where that is faster.
-    pub(in crate::nn) fn new(isa: Isa, filter: Filter<'_>, fast: bool, half: bool) -> Result<Self> {
+    /// For `filter`; `fast` allows the larger errors of the larger tiles, `pairs` those of multiplying numbers
+    /// rounded to bf16.
+    pub(in crate::nn) fn new(
+        isa: Isa,
+        filter: Filter<'_>,
+        fast: bool,
+        pairs: bool,
+    ) -> Result<Self> {
         // Below, what is saved goes into transforms.
         const CHANNELS_FOR_WINOGRAD: usize = 32;
         let kernel = filter.steps.kernel;
@@ -158,7 +163,7 @@ impl Convolution {
             }
             _ if Shifted::pays(isa, filter) => Shifted::new(isa, filter).map(Self::Shifted),
             _ => {
-                let pairs = half && isa.multiplies_pairs() && filter.inputs().is_multiple_of(2);
+                let pairs = pairs && filter.inputs().is_multiple_of(2);
                 Gathered::new(isa, filter, pairs).map(Self::Gathered)
             }
         }

@@ -118,7 +118,12 @@ impl<'a, T> Matrix<'a, T> {
     /// # Panics
     ///
     /// If they are not inside.
-    pub(in crate::nn::cpu) fn part_of_row(&self, row: usize, start: usize, count: usize) -> &'a [T] {
+    pub(in crate::nn::cpu) fn part_of_row(
+        &self,
+        row: usize,
+        start: usize,
+        count: usize,
+    ) -> &'a [T] {
         &self.data[row * self.stride..][..self.columns][start..start + count]
     }
 
