@@ -27,4 +27,4 @@ pub mod see3d;
 mod weights;
 
 pub use observer::{Observer, Unobserved};
-pub use weights::{ComputeType, Parameter, Weights};
+pub use weights::{ComputeType, Footprint, Parameter, Weights};

@@ -116,3 +116,28 @@ fn computing_in_bf16_is_close() {
         }
     });
 }
+
+/// A network of which a part stays in memory is the network.
+#[test]
+fn weights_that_leave_memory_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let [path, other] = ["weights", "other"].map(|name| folder.path().join(name));
+    let names: Vec<String> = (0..6).map(|i| format!("{i}.weight")).collect();
+    let square: &[usize] = &[1024, 1024];
+    let tensors: Vec<_> = names.iter().map(|name| (&**name, square)).collect();
+    write([&path, &other], &tensors, DType::F32);
+    let results = |resident: usize| {
+        let weights = Weights::open_within(&path, &Device::Cpu, resident).unwrap();
+        let layer = |i: usize| Linear::without_bias(1024, 1024, &weights.pp(i)).unwrap();
+        let layers: Vec<Linear> = (0..6).map(layer).collect();
+        let x = Tensor::ones((3, 1024), DType::F32, &Device::Cpu).unwrap();
+        let twice = layers.iter().chain(&layers);
+        let y = twice.fold(x, |x, layer| {
+            let y = layer.forward(&x, Activation::Identity).unwrap();
+            (y * 0.03).unwrap()
+        });
+        y.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+    };
+    assert_eq!(results(0), results(usize::MAX / 2));
+    assert_eq!(results(9 << 20), results(usize::MAX / 2));
+}

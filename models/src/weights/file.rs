@@ -9,10 +9,12 @@ use std::sync::Arc;
 
 use candle_core::{Error, Result, bail};
 use half::{bf16, f16};
-use memmap2::Mmap;
 use rayon::prelude::*;
 use safetensors::{Dtype, SafeTensors};
 
+use super::ComputeType;
+use super::footprint::Footprint;
+use super::mapping::Mapping;
 use super::parameter::{Kind, Values};
 
 /// What of a tensor is wanted.
@@ -28,7 +30,7 @@ pub(super) enum Wanted {
 
 pub(super) struct MappedFile {
     path: PathBuf,
-    map: Arc<Mmap>,
+    map: Arc<Mapping>,
     tensors: BTreeMap<String, Entry>,
 }
 
@@ -39,27 +41,21 @@ struct Entry {
 }
 
 impl MappedFile {
-    /// The file at `path`, mapped.
+    /// The file at `path`, mapped, of which about `resident` bytes may stay in memory.
     ///
     /// # Errors
     ///
     /// If it cannot be opened or mapped, or is no safetensors file.
-    pub(super) fn open(path: &Path) -> Result<Self> {
+    pub(super) fn open(path: &Path, resident: usize) -> Result<Self> {
         let problem = |text: &dyn Display| Error::Msg(format!("{}: {text}", path.display()));
         let file = File::open(path).map_err(|e| problem(&e))?;
-        // SAFETY: a mapping is unsound if another process changes the file meanwhile. The file is
-        // opened for reading, tid3r never changes a checkpoint in place (it writes a new file and
-        // renames), and whatever bytes are read are valid numbers.
-        #[expect(
-            unsafe_code,
-            reason = "mapping a file is unsafe, and copying it is not wanted"
-        )]
-        let map = unsafe { Mmap::map(&file) }.map_err(|e| problem(&e))?;
-        let tensors = SafeTensors::deserialize(&map)
+        let map = Mapping::new(&file, resident).map_err(|e| problem(&e))?;
+        let all = map.all();
+        let tensors = SafeTensors::deserialize(all)
             .map_err(|e| problem(&format!("not a whole safetensors file ({e})")))?
             .iter()
             .map(|(name, view)| {
-                let start = view.data().as_ptr() as usize - map.as_ptr() as usize;
+                let start = view.data().as_ptr() as usize - all.as_ptr() as usize;
                 let entry = Entry {
                     shape: view.shape().to_vec(),
                     dtype: view.dtype(),
@@ -96,7 +92,7 @@ impl MappedFile {
                 entry.shape
             );
         }
-        let bytes = &self.map[entry.bytes.clone()];
+        let bytes = &self.map.all()[entry.bytes.clone()];
         let mapped = |kind| Values::Mapped {
             map: Arc::clone(&self.map),
             bytes: entry.bytes.clone(),
@@ -105,7 +101,7 @@ impl MappedFile {
         let aligned = |size: usize| bytes.as_ptr().align_offset(size) == 0;
         let of_f16 = |bytes| f16::from_le_bytes(bytes).to_f32();
         let of_bf16 = |bytes| bf16::from_le_bytes(bytes).to_f32();
-        Ok(match (entry.dtype, wanted) {
+        let values = match (entry.dtype, wanted) {
             (Dtype::F32, Wanted::Single | Wanted::Stored) if aligned(4) => mapped(Kind::F32),
             (Dtype::F16, Wanted::Stored) if aligned(2) => mapped(Kind::F16),
             (Dtype::BF16, Wanted::Stored | Wanted::Rounded) if aligned(2) => mapped(Kind::Bf16),
@@ -118,7 +114,27 @@ impl MappedFile {
             (other, _) => {
                 bail!("{path}: the tensor {name} is of type {other:?}, which is no float")
             }
-        })
+        };
+        if !matches!(values, Values::Mapped { .. }) {
+            // There is a copy.
+            self.map.done(entry.bytes.clone());
+        }
+        Ok(values)
+    }
+
+    /// What numbers take in memory that layers compute with in this type: as for the type of most in the file.
+    pub(super) fn footprint(&self, compute_type: ComputeType) -> Footprint {
+        let of = |dtype: Dtype| {
+            let alike = self.tensors.values().filter(|entry| entry.dtype == dtype);
+            alike.map(|entry| entry.bytes.len()).sum::<usize>()
+        };
+        let [single, f16, half] = [Dtype::F32, Dtype::F16, Dtype::BF16].map(of);
+        match compute_type {
+            ComputeType::F32 if single >= f16 + half => Footprint::Mapped(size_of::<f32>()),
+            ComputeType::F32 => Footprint::Mapped(size_of::<f16>()),
+            ComputeType::Bf16 if half > single + f16 => Footprint::Mapped(size_of::<bf16>()),
+            ComputeType::Bf16 => Footprint::Owned(size_of::<bf16>()),
+        }
     }
 }
 

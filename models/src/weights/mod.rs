@@ -4,13 +4,17 @@
 //! has in the original checkpoint, and gets a [`Parameter`]. On a CPU a parameter of an f32 file *is*
 //! the file: the file is mapped into memory, nothing is copied or converted at start, and pages are
 //! read when a layer first uses them. So are the weights of linear maps and convolutions in a file of half
-//! precision; kernels widen them on the way. Other tensors of half precision are widened at start.
+//! precision; kernels widen them on the way. Other tensors of half precision are widened at start. Of a large
+//! file, only what was used lately stays in this process's memory, so that a network takes less of it than
+//! its weights.
 //!
 //! [`Weights::in_type`] says what layers compute with. For bf16, the weights of linear maps and convolutions
 //! are rounded to that where the file has more.
 
 mod compute_type;
 mod file;
+mod footprint;
+mod mapping;
 mod parameter;
 #[cfg(test)]
 mod tests;
@@ -28,6 +32,7 @@ use file::{MappedFile, Wanted};
 use parameter::Values;
 
 pub use compute_type::ComputeType;
+pub use footprint::Footprint;
 pub(crate) use parameter::Numbers;
 pub use parameter::Parameter;
 
@@ -62,7 +67,13 @@ impl Weights {
     ///
     /// If the file cannot be opened or mapped, or is no safetensors file.
     pub fn open(path: &Path, device: &Device) -> Result<Self> {
-        Ok(Self::of(Source::File(MappedFile::open(path)?), device))
+        Self::open_within(path, device, mapping::RESIDENT)
+    }
+
+    /// As [`Self::open`], but about `resident` bytes of the file may stay in memory.
+    pub(crate) fn open_within(path: &Path, device: &Device, resident: usize) -> Result<Self> {
+        let file = MappedFile::open(path, resident)?;
+        Ok(Self::of(Source::File(file), device))
     }
 
     /// Weights made by `make` from name and shape (values row-major), when they are asked for.
@@ -107,6 +118,15 @@ impl Weights {
     /// What layers compute with.
     pub fn compute_type(&self) -> ComputeType {
         self.compute_type
+    }
+
+    /// What the numbers of linear maps and convolutions take in memory on a CPU; others are few.
+    pub fn footprint(&self) -> Footprint {
+        match (&self.shared.source, self.compute_type) {
+            (Source::File(file), compute_type) => file.footprint(compute_type),
+            (Source::Function(_) | Source::Names, ComputeType::F32) => Footprint::Owned(4),
+            (Source::Function(_) | Source::Names, ComputeType::Bf16) => Footprint::Owned(2),
+        }
     }
 
     /// The weights below `name`: those whose names go on with it and a dot.

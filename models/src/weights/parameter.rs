@@ -7,8 +7,9 @@ use std::sync::Arc;
 
 use candle_core::{Device, Result, Tensor, bail};
 use half::{bf16, f16};
-use memmap2::Mmap;
 use rayon::prelude::*;
+
+use super::mapping::Mapping;
 
 /// One tensor of a network.
 #[derive(Clone, Debug)]
@@ -21,7 +22,7 @@ pub struct Parameter {
 pub(super) enum Values {
     /// Part of a mapped file, aligned for its kind of numbers.
     Mapped {
-        map: Arc<Mmap>,
+        map: Arc<Mapping>,
         bytes: Range<usize>,
         kind: Kind,
     },
@@ -121,11 +122,12 @@ impl Parameter {
         }
     }
 
-    /// The values, row-major, if they are on the CPU.
+    /// The values, row-major, if they are on the CPU. Those of a large file may have to come into memory, and
+    /// others leave it for them: whoever uses them for long asks anew each time.
     pub(crate) fn numbers(&self) -> Option<Numbers<'_>> {
         match &self.values {
             Values::Mapped { map, bytes, kind } => {
-                let bytes = &map[bytes.clone()];
+                let bytes = map.used(bytes.clone());
                 Some(match kind {
                     Kind::F32 => Numbers::F32(bytemuck::cast_slice(bytes)),
                     Kind::F16 => Numbers::F16(bytemuck::cast_slice(bytes)),
@@ -135,6 +137,14 @@ impl Parameter {
             Values::Single(values) => Some(Numbers::F32(values)),
             Values::Rounded(values) => Some(Numbers::Bf16(values)),
             Values::Device(_) => None,
+        }
+    }
+
+    /// Says that the values will not be used again soon, as there is a copy of them laid out for a kernel. Those
+    /// of a file leave memory until they are.
+    pub(crate) fn release(&self) {
+        if let Values::Mapped { map, bytes, .. } = &self.values {
+            map.done(bytes.clone());
         }
     }
 

@@ -97,6 +97,7 @@ impl Parameters {
             let centred = f64::from(*bias) - f64::from(mean[i]);
             *bias = (centred * factor + f64::from(shift[i])) as f32;
         }
+        self.weight.release();
         Some(Folded {
             weight: Parameter::from_values(self.shape(), folded),
             bias,
