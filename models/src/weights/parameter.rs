@@ -9,6 +9,7 @@ use candle_core::{Device, Result, Tensor, bail};
 use half::{bf16, f16};
 use rayon::prelude::*;
 
+use super::ComputeType;
 use super::mapping::Mapping;
 
 /// One tensor of a network.
@@ -91,6 +92,18 @@ impl Parameter {
             shape,
             values: Values::Single(values.into()),
         }
+    }
+
+    /// The same in the CPU's memory, rounded to bf16 if that is what is computed with and it is f32.
+    #[must_use]
+    pub(crate) fn in_type(self, compute_type: ComputeType) -> Self {
+        let values = match (compute_type, self.values) {
+            (ComputeType::Bf16, Values::Single(values)) => {
+                Values::Rounded(values.par_iter().map(|&x| bf16::from_f32(x)).collect())
+            }
+            (_, values) => values,
+        };
+        Self { values, ..self }
     }
 
     /// A parameter with the values of `tensor` (f32), on its device.

@@ -99,7 +99,7 @@ impl Parameters {
         }
         self.weight.release();
         Some(Folded {
-            weight: Parameter::from_values(self.shape(), folded),
+            weight: Parameter::from_values(self.shape(), folded).in_type(self.compute_type),
             bias,
         })
     }

@@ -14,6 +14,7 @@
     reason = "vector instructions, inner loops without bounds checks, and shared output arrays"
 )]
 
+mod allocation;
 mod attention;
 pub(in crate::nn) mod conv;
 mod elementwise;
@@ -34,6 +35,7 @@ mod shared;
 mod simd;
 mod upscaling;
 
+pub use allocation::keep_freed_memory;
 pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
 pub use isa::Isa;
 pub use peak::measured_peak_flops;
