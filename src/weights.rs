@@ -3,7 +3,7 @@
 use crate::{Error, error::network_problem};
 use candle_core::Device;
 use std::fmt::Display;
-use tid3r_models::Weights;
+use tid3r_models::{Footprint, Weights};
 use tid3r_weights_convert::{Config, Found};
 
 /// Whether weights are merely not there, rather than damaged.
@@ -47,6 +47,11 @@ pub(crate) fn damaged(found: &Found, problem: &dyn Display) -> Error {
 pub(crate) fn open(found: &Found) -> Result<Weights, Error> {
     Weights::open(&found.weights, &Device::Cpu)
         .map_err(|error| damaged(found, &network_problem(&error)))
+}
+
+/// What the weights take in memory.
+pub(crate) fn footprint(found: &Found) -> Result<Footprint, Error> {
+    Ok(open(found)?.footprint())
 }
 
 /// Builds a network of all tensors of the weights that were found; `build` gives `None` for another

@@ -114,7 +114,13 @@ impl MvDust3rReconstructor {
         let size = sights[0].size();
         let references = self.references(views);
         let network = self.network(references)?;
-        let estimate = RunEstimate::new(network.config(), views, size, !self.params.no_gaussians)?;
+        let estimate = RunEstimate::new(
+            network.config(),
+            views,
+            size,
+            !self.params.no_gaussians,
+            self.weights.footprint(),
+        )?;
         let rows = estimate.rows_within(self.max_memory)?;
         progress.note(&estimate.to_string());
         let options = Options {

@@ -8,11 +8,14 @@ use crate::{
 };
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use tid3r_models::see3d::{
-    clip::{TextEncoder, VisionEncoder},
-    denoise::Conditions,
-    unet::Unet,
-    vae::{self, Decoder, Encoder, Tiling},
+use tid3r_models::{
+    Footprint,
+    see3d::{
+        clip::{TextEncoder, VisionEncoder},
+        denoise::Conditions,
+        unet::Unet,
+        vae::{self, Decoder, Encoder, Tiling},
+    },
 };
 use tid3r_weights_convert::{
     Config, Found, Network, Places, Precision,
@@ -196,11 +199,21 @@ impl See3dWeights {
         }
     }
 
-    /// Whether the file of the largest network holds numbers of half precision.
-    pub(super) fn unet_is_half(&self, stage: Stage, photos: usize, numbers: usize) -> Result<bool> {
-        let found = self.unet_of(stage, photos)?;
-        let size = std::fs::metadata(&found.weights).map_err(Error::io("read", &found.weights))?;
-        Ok(size.len() < 3 * numbers as u64)
+    /// What the network's weights take that denoises frames with so many photos among them.
+    pub(super) fn unet_footprint(&self, stage: Stage, photos: usize) -> Result<Footprint> {
+        weights::footprint(self.unet_of(stage, photos)?)
+    }
+
+    pub(super) fn vae_footprint(&self) -> Result<Footprint> {
+        weights::footprint(&self.vae)
+    }
+
+    pub(super) fn image_encoder_footprint(&self) -> Result<Footprint> {
+        weights::footprint(&self.image_encoder)
+    }
+
+    pub(super) fn text_encoder_footprint(&self) -> Result<Footprint> {
+        weights::footprint(&self.text_encoder)
     }
 
     pub(super) fn unet(&self, stage: Stage, photos: usize) -> Result<Unet> {

@@ -42,12 +42,14 @@ use image::RgbImage;
 use serde_json::{Value, json};
 use sharp_picture::sharp_picture;
 use std::{fs, path::Path};
-use tid3r_models::Observer;
+use tid3r_models::{Footprint, Observer};
 
 /// Segments pictures with MobileSAMv2.
 pub struct MobileSam {
     networks: Networks,
     params: MobileSamParams,
+    /// What the weights of encoder and decoder take in memory.
+    footprints: [Footprint; 2],
     /// Which networks they are.
     description: Value,
 }
@@ -61,6 +63,7 @@ impl MobileSam {
         Ok(Self {
             networks: weights.networks()?,
             params,
+            footprints: weights.footprints()?,
             description: weights.description(),
         })
     }
@@ -153,7 +156,7 @@ impl MobileSam {
 
 impl Segmenter for MobileSam {
     fn begin(&self, frames: usize, progress: &dyn Progress) -> Result<Pace> {
-        let estimate = PictureEstimate::new(&self.networks, &self.params)?;
+        let estimate = PictureEstimate::new(&self.networks, &self.params, self.footprints)?;
         progress.note(&estimate.of(frames));
         estimate.compare_with_machine();
         Ok(Pace::OneByOne)

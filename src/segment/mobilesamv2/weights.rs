@@ -1,12 +1,15 @@
 use super::{EncoderChoice, Networks};
 use crate::{
     Error, Result,
-    weights::{are_missing, joined, network},
+    weights::{are_missing, footprint, joined, network},
 };
 use serde_json::{Value, json};
-use tid3r_models::mobilesamv2::{
-    ImageEncoder, decoder::Decoder, detector::Detector, efficient_vit::EfficientVit,
-    tiny_vit::TinyVit, vit::Vit,
+use tid3r_models::{
+    Footprint,
+    mobilesamv2::{
+        ImageEncoder, decoder::Decoder, detector::Detector, efficient_vit::EfficientVit,
+        tiny_vit::TinyVit, vit::Vit,
+    },
 };
 use tid3r_weights_convert::{Config, Found, Network, Places};
 
@@ -91,6 +94,11 @@ impl MobileSamWeights {
                 _ => None,
             })?,
         })
+    }
+
+    /// What the weights of encoder and decoder take in memory.
+    pub(super) fn footprints(&self) -> Result<[Footprint; 2]> {
+        Ok([footprint(&self.encoder)?, footprint(&self.decoder)?])
     }
 
     /// What masks depend on, for `scene.json`.

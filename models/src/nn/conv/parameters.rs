@@ -3,7 +3,7 @@
 use candle_core::{Result, Tensor, bail};
 
 use super::BatchNorm2d;
-use crate::{Parameter, Weights};
+use crate::{ComputeType, Parameter, Weights};
 
 /// What a convolution multiplies with and adds. A norm is folded in when weights are laid out for a
 /// kernel, so that until then they stay where they were read from.
@@ -14,11 +14,13 @@ pub(super) struct Parameters {
     /// (outputs).
     bias: Option<Parameter>,
     norm: Option<BatchNorm2d>,
+    compute_type: ComputeType,
 }
 
 /// Parameters with the norm folded in, in the CPU's memory.
 pub(super) struct Folded {
-    /// As the parameter's; the same numbers in memory if there is no norm.
+    /// As the parameter's, rounded to what is computed with; the same numbers in memory if there is nothing to
+    /// do.
     pub(super) weight: Parameter,
     /// (outputs).
     pub(super) bias: Vec<f32>,
@@ -29,10 +31,13 @@ impl Parameters {
     /// (outputs).
     pub(super) fn new(shape: &[usize], bias: bool, weights: &Weights) -> Result<Self> {
         let bias = bias.then(|| weights.get([shape[0]], "bias"));
+        // Rounded once, after the norm is folded in.
+        let stored = weights.clone().in_type(ComputeType::F32);
         Ok(Self {
-            weight: weights.get_stored(shape, "weight")?,
+            weight: stored.get_stored(shape, "weight")?,
             bias: bias.transpose()?,
             norm: None,
+            compute_type: weights.compute_type(),
         })
     }
 
@@ -71,11 +76,8 @@ impl Parameters {
             None => vec![0.0; outputs],
         };
         let Some(norm) = &self.norm else {
-            self.weight.numbers()?;
-            return Some(Folded {
-                weight: self.weight.clone(),
-                bias,
-            });
+            let weight = self.rounded(self.weight.clone())?;
+            return Some(Folded { weight, bias });
         };
         let (scale, shift) = (norm.weight.host()?, norm.bias.host()?);
         let (mean, variance) = (norm.running_mean.host()?, norm.running_var.host()?);
@@ -91,10 +93,16 @@ impl Parameters {
             *bias = (centred * factor + f64::from(shift[i])) as f32;
         }
         self.weight.release();
-        Some(Folded {
-            weight: Parameter::from_values(self.shape(), folded),
-            bias,
-        })
+        let weight = self.rounded(Parameter::from_values(self.shape(), folded))?;
+        Some(Folded { weight, bias })
+    }
+
+    /// `weight` in what is computed with, if it is on the CPU.
+    fn rounded(&self, weight: Parameter) -> Option<Parameter> {
+        match self.compute_type {
+            ComputeType::F32 => weight.numbers().is_some().then_some(weight),
+            ComputeType::Bf16 => weight.rounded(),
+        }
     }
 
     /// Weight and bias with the norm folded in, as candle's tensors, where they are.
