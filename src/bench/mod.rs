@@ -2,6 +2,7 @@
 
 mod mobilesamv2;
 mod mvdust3r;
+mod profile;
 mod see3d;
 
 use crate::{
@@ -12,6 +13,7 @@ use crate::{
 };
 use candle_core::{Device, Tensor};
 use clap::builder::PossibleValuesParser;
+pub use profile::ProfileRow;
 use serde::Serialize;
 use std::{str::FromStr, time::Instant};
 use tid3r_models::{
@@ -22,7 +24,7 @@ use tid3r_models::{
         tiny_vit::{self, TinyVit},
         vit::{self, Vit},
     },
-    nn::cpu::measured_peak_flops,
+    nn::{cpu::measured_peak_flops, profile::Recording},
 };
 use tid3r_weights_convert::{Config, Found, Network, synth};
 
@@ -53,6 +55,9 @@ pub struct BenchParams {
     /// Timed runs, after one that is not timed; the median counts
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
+    /// Tell how the time of the runs is divided among kinds of operations
+    #[arg(long)]
+    pub profile: bool,
     /// Run the Gaussian heads of MV-DUSt3R(+), too
     #[arg(long)]
     pub gaussians: bool,
@@ -152,6 +157,9 @@ pub struct BenchRow {
     pub gflops: f64,
     /// The share of the machine's measured peak that the operations reach that are really computed.
     pub share_of_peak: f64,
+    /// Where the time of a run went, if that is wanted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<ProfileRow>>,
 }
 
 /// What a network had to do in one run.
@@ -337,8 +345,11 @@ fn measure(
 ) -> candle_core::Result<BenchRow> {
     progress.begin(&trial.load.to_string(), 1 + params.runs as usize);
     forget_peak_memory();
-    let mut seconds = Vec::new();
+    let (mut seconds, mut recording) = (Vec::new(), None);
     for run in 0..=params.runs {
+        if run == 1 && params.profile {
+            recording = Some(Recording::start());
+        }
         let start = Instant::now();
         (trial.run)()?;
         if run > 0 {
@@ -353,10 +364,11 @@ fn measure(
         dtype: params.dtype,
         threads,
         median_seconds,
-        seconds,
         peak_memory_bytes: peak_memory(),
         gflops: 2.0 * trial.defined / median_seconds / 1e9,
         share_of_peak: 2.0 * trial.computed / median_seconds / peak,
+        profile: recording.map(|recording| profile::rows(&recording, &seconds, peak)),
+        seconds,
     })
 }
 

@@ -17,6 +17,7 @@ use tid3r_weights_convert::Found;
 #[command(after_help = "Examples:\n  \
     tid3r bench --model mvdust3r\n  \
     tid3r bench --model mvdust3r-plus --views 4,8 --threads 2 --json\n  \
+    tid3r bench --model mobilesamv2-detector --profile\n  \
     tid3r bench --model see3d-sparse --views 3 --size 256")]
 pub(super) struct Bench {
     #[command(flatten)]
@@ -53,5 +54,34 @@ fn print(rows: &[BenchRow]) -> Result<()> {
             format!("{:.0} %", 100.0 * row.share_of_peak),
         ]);
     }
+    output::table(&table)?;
+    for row in rows {
+        print_profile(row)?;
+    }
+    Ok(())
+}
+
+/// Where the time went, if that was asked for.
+fn print_profile(row: &BenchRow) -> Result<()> {
+    let Some(profile) = &row.profile else {
+        return Ok(());
+    };
+    let load = row.load.to_string();
+    let heading = [&load[..], "calls", "seconds", "of time", "of peak"];
+    let mut table = vec![heading.map(String::from).to_vec()];
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+    for part in profile {
+        table.push(vec![
+            part.operation.into(),
+            match part.calls {
+                0.0 => String::new(),
+                calls => format!("{calls:.0}"),
+            },
+            format!("{:.3}", part.seconds),
+            percent(part.share_of_time),
+            part.share_of_peak.map_or_else(String::new, percent),
+        ]);
+    }
+    output::line("")?;
     output::table(&table)
 }

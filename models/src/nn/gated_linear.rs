@@ -44,7 +44,9 @@ impl GatedLinear {
         let bias = bias.as_ref().and_then(Parameter::host);
         match (weight.numbers(), bias) {
             (Some(weight), Some(bias)) if HostTensor::fits(x) && x.dim(D::Minus1)? == *inputs => {
-                cpu::gated_linear(Isa::current()?, x, weight, bias)
+                let isa = Isa::current()?;
+                let pairs = self.both.compute_type().in_pairs(isa);
+                cpu::gated_linear(isa, x, (weight, pairs), bias)
             }
             _ => self.plain(x),
         }

@@ -6,6 +6,7 @@ use candle_core::{D, Device, Error, Result, Tensor, bail};
 use rayon::prelude::*;
 
 use super::cpu::{Epilogue, Factor, HostTensor, Matrix, MatrixMut, PackedFactor, gemm_serial};
+use super::profile::{Operation, Timer};
 use crate::{Parameter, Weights};
 
 /// A linear map of each group of channels for itself, without a bias: a 1x1 convolution in groups.
@@ -80,6 +81,7 @@ impl GroupedLinear {
         };
         let factors = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
         let factors = factors.as_ref().map_err(|e| Error::Msg(e.clone()))?;
+        let _timer = Timer::start(Operation::Linear, x.elem_count() * group);
         let contiguous = x.contiguous()?;
         let host = HostTensor::new(&contiguous)?;
         let from = &host.data()?[..x.elem_count()];

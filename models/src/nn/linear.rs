@@ -4,7 +4,7 @@ use candle_core::{D, Result, Tensor, bail};
 
 use super::Activation;
 use super::cpu::{self, HostTensor, Isa};
-use crate::{Parameter, Weights};
+use crate::{ComputeType, Parameter, Weights};
 
 /// `y = x W^T + b` on the last dimension.
 #[derive(Clone, Debug)]
@@ -15,6 +15,7 @@ pub struct Linear {
     pub(super) bias: Option<Parameter>,
     pub(super) inputs: usize,
     pub(super) outputs: usize,
+    compute_type: ComputeType,
 }
 
 impl Linear {
@@ -42,6 +43,7 @@ impl Linear {
             bias: None,
             inputs,
             outputs,
+            compute_type: weights.compute_type(),
         })
     }
 
@@ -80,6 +82,7 @@ impl Linear {
             bias: None,
             inputs: colours * patch * patch,
             outputs,
+            compute_type: weights.compute_type(),
         })
     }
 
@@ -92,7 +95,9 @@ impl Linear {
         self.check(x)?;
         match self.weight.numbers() {
             Some(weight) if HostTensor::fits(x) => {
-                cpu::linear(Isa::current()?, x, weight, self.bias(), activation, None)
+                let isa = Isa::current()?;
+                let pairs = self.compute_type.in_pairs(isa);
+                cpu::linear(isa, x, (weight, pairs), self.bias(), activation, None)
             }
             _ => activation.apply(&self.plain(x)?),
         }
@@ -108,10 +113,17 @@ impl Linear {
         match self.weight.numbers() {
             Some(weight) if HostTensor::fits(x) && HostTensor::fits(residual) => {
                 let (isa, activation) = (Isa::current()?, Activation::Identity);
+                let weight = (weight, self.compute_type.in_pairs(isa));
                 cpu::linear(isa, x, weight, self.bias(), activation, Some(residual))
             }
             _ => residual + self.plain(x)?,
         }
+    }
+
+    /// What this computes with. In bf16, weights and inputs are rounded to that on CPUs where this is faster;
+    /// sums stay f32.
+    pub fn compute_type(&self) -> ComputeType {
+        self.compute_type
     }
 
     fn check(&self, x: &Tensor) -> Result<()> {

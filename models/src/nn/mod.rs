@@ -25,6 +25,7 @@ mod linear;
 mod linear_attention;
 mod mlp;
 mod pool;
+pub mod profile;
 mod resize;
 mod rope;
 mod upscaling;

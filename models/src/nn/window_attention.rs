@@ -4,6 +4,7 @@ use candle_core::{D, Result, Tensor, bail};
 
 use super::Memory;
 use super::cpu::{self, HostTensor, Isa};
+use crate::ComputeType;
 
 /// What is added to the scores of attention within a window of `rows` x `columns` tokens, before the
 /// softmax. Tokens of a window are numbered row by row.
@@ -66,7 +67,7 @@ impl ScoreBias {
 /// images with a constant. A window as large as the image is ordinary attention.
 ///
 /// The result is (batch, height, width, heads * dim). Neither scores nor biases of all tokens are ever
-/// in memory.
+/// in memory. What computing in bf16 means is as for [`attention()`](super::attention()).
 ///
 /// # Errors
 ///
@@ -77,12 +78,15 @@ pub fn window_attention(
     beyond: &Memory,
     window: [usize; 2],
     bias: &ScoreBias,
+    compute_type: ComputeType,
 ) -> Result<Tensor> {
     let (_, _, _, heads, dim) = q.dims5()?;
     bias.check(window, heads, dim)?;
     let of_host = |memory: &Memory| HostTensor::fits(&memory.k) && HostTensor::fits(&memory.v);
     if HostTensor::fits(q) && of_host(memory) && of_host(beyond) && bias.is_of_host() {
-        cpu::window_attention(Isa::current()?, q, memory, beyond, window, bias)
+        let isa = Isa::current()?;
+        let pairs = compute_type.in_pairs(isa);
+        cpu::window_attention(isa, q, memory, beyond, window, bias, pairs)
     } else {
         plain(q, memory, beyond, window, bias)
     }
@@ -208,7 +212,15 @@ mod tests {
         let weights = [1.0, 2.0, 5.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0];
         let table = tensor(&weights.map(f32::ln)).reshape((1, 3, 3)).unwrap();
         let q = image(&[0.0, 0.0]);
-        let got = window_attention(&q, &memory, &beyond, [1, 3], &ScoreBias::Table(table)).unwrap();
+        let got = window_attention(
+            &q,
+            &memory,
+            &beyond,
+            [1, 3],
+            &ScoreBias::Table(table),
+            ComputeType::F32,
+        )
+        .unwrap();
         assert_eq!(got.dims(), [1, 1, 2, 1]);
         for (got, want) in flat(&got).iter().zip([0.0, 6.0]) {
             assert!((got - want).abs() < 1e-5, "{got} {want}");
@@ -234,7 +246,15 @@ mod tests {
         };
         let memory = memory_of(image(0.0, 0.0), image(4.0, 8.0));
         let beyond = memory_of(beyond.clone(), beyond);
-        let got = window_attention(&image(1.0, 2.0), &memory, &beyond, [2, 1], &bias).unwrap();
+        let got = window_attention(
+            &image(1.0, 2.0),
+            &memory,
+            &beyond,
+            [2, 1],
+            &bias,
+            ComputeType::F32,
+        )
+        .unwrap();
         // Weights 1/4 and 3/4; 7/8 and 1/8.
         let got = flat(&got);
         assert!(
@@ -270,7 +290,7 @@ mod tests {
             };
             let want = plain(&q, &memory, &beyond, window, &bias).unwrap();
             for isa in Isa::available() {
-                let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias).unwrap();
+                let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias, false).unwrap();
                 prop_assert_eq!(got.dims(), want.dims());
                 for (got, want) in flat(&got).iter().zip(flat(&want)) {
                     prop_assert!((got - want).abs() < 2e-4, "{isa}: {got} {want}");
@@ -293,10 +313,15 @@ mod tests {
         let table = ScoreBias::Table(random(&[heads, 35 * 33, 35 * 33]));
         for bias in [ScoreBias::None, table, relative] {
             let want = plain(&q, &memory, &beyond, window, &bias).unwrap();
-            for isa in Isa::available() {
-                let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias).unwrap();
-                for (got, want) in flat(&got).iter().zip(flat(&want)) {
-                    assert!((got - want).abs() < 2e-4, "{isa}: {got} {want}");
+            for (isa, pairs) in Isa::available()
+                .into_iter()
+                .flat_map(|isa| [(isa, false), (isa, true)])
+            {
+                let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias, pairs);
+                for (got, want) in flat(&got.unwrap()).iter().zip(flat(&want)) {
+                    // Rounded to bf16, scores of up to 10 lose up to some 0.03.
+                    let bound = if pairs { 0.1 } else { 2e-4 };
+                    assert!((got - want).abs() < bound, "{isa}, {pairs}: {got} {want}");
                 }
             }
         }
@@ -307,7 +332,14 @@ mod tests {
         let [q, k, v] = projected([1, 4, 5, 2, 8], true);
         let beyond = memory_of(random(&[2, 8]), random(&[2, 8]));
         let with = |k: &Tensor, v: &Tensor, beyond: &Memory, window, bias: &ScoreBias| {
-            window_attention(&q, &memory_of(k.clone(), v.clone()), beyond, window, bias)
+            window_attention(
+                &q,
+                &memory_of(k.clone(), v.clone()),
+                beyond,
+                window,
+                bias,
+                ComputeType::F32,
+            )
         };
         let none = &ScoreBias::None;
         assert!(with(&k, &v, &beyond, [2, 3], none).is_ok());
@@ -329,7 +361,15 @@ mod tests {
         assert!(with(&k, &v, &beyond, [2, 3], &relative(&[3, 8], &[3, 8])).is_err());
         assert!(with(&k, &v, &beyond, [2, 3], &relative(&[3, 7], &[5, 7])).is_err());
         let [q, k, v] = projected([0, 4, 5, 2, 8], true);
-        let got = window_attention(&q, &memory_of(k, v), &beyond, [2, 3], none).unwrap();
+        let got = window_attention(
+            &q,
+            &memory_of(k, v),
+            &beyond,
+            [2, 3],
+            none,
+            ComputeType::F32,
+        )
+        .unwrap();
         assert_eq!(got.dims(), [0, 4, 5, 16]);
     }
 }

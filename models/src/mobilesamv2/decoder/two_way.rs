@@ -38,7 +38,12 @@ impl Attention {
     /// What queries `q` receive of `k` and `v`, all (batch, tokens, channels).
     fn forward(&self, q: &Tensor, k: &Tensor, v: &Tensor) -> Result<Tensor> {
         let q = self.q_proj.forward(q, Activation::Identity)?;
-        let attended = attention(&q, &[self.memory(k, v)?], self.heads)?;
+        let attended = attention(
+            &q,
+            &[self.memory(k, v)?],
+            self.heads,
+            self.out_proj.compute_type(),
+        )?;
         self.out_proj.forward(&attended, Activation::Identity)
     }
 
@@ -59,6 +64,7 @@ impl Attention {
             &q.flatten_to(1)?.unsqueeze(0)?,
             std::slice::from_ref(memory),
             self.heads,
+            self.out_proj.compute_type(),
         )?;
         all.reshape(q.shape())
     }

@@ -116,7 +116,14 @@ impl Attention {
             v: part_beyond(2)?,
         };
         let window = [self.window; 2];
-        let attended = window_attention(&part(0)?, &memory, &beyond, window, self.bias()?)?;
+        let attended = window_attention(
+            &part(0)?,
+            &memory,
+            &beyond,
+            window,
+            self.bias()?,
+            self.proj.compute_type(),
+        )?;
         self.proj.forward_add(&attended, residual)
     }
 }

@@ -88,7 +88,14 @@ impl Attention {
             },
             None => ScoreBias::None,
         };
-        let attended = window_attention(&part(0)?, &memory, &beyond, [self.span; 2], &bias)?;
+        let attended = window_attention(
+            &part(0)?,
+            &memory,
+            &beyond,
+            [self.span; 2],
+            &bias,
+            self.proj.compute_type(),
+        )?;
         self.proj.forward_add(&attended, residual)
     }
 }

@@ -331,8 +331,10 @@ impl Conv2d {
                 steps: self.steps,
             };
             let fast = self.precision == Precision::Fast;
+            let isa = Isa::current()?;
+            let pairs = self.parameters.compute_type().in_pairs(isa);
             Ok(Prepared {
-                convolution: Convolution::new(Isa::current()?, filter, fast)?,
+                convolution: Convolution::new(isa, filter, fast, pairs)?,
                 bias: folded.bias,
             })
         };

@@ -59,6 +59,11 @@ impl Parameters {
         })
     }
 
+    /// What is computed with.
+    pub(super) fn compute_type(&self) -> ComputeType {
+        self.compute_type
+    }
+
     /// Sizes of the weight.
     pub(super) fn shape(&self) -> &[usize] {
         self.weight.shape()

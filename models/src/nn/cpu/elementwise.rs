@@ -9,6 +9,7 @@ use super::shared::{Shared, filled};
 use super::simd::Simd;
 use super::{HostTensor, Isa};
 use crate::nn::Activation;
+use crate::nn::profile::{Operation, Timer};
 
 /// Numbers that a task takes: some microseconds of work.
 const CHUNK: usize = 1 << 14;
@@ -19,6 +20,7 @@ const CHUNK: usize = 1 << 14;
 ///
 /// Those of candle.
 pub(in crate::nn) fn activation(isa: Isa, activation: Activation, x: &Tensor) -> Result<Tensor> {
+    let _timer = Timer::start(Operation::Elementwise, 0);
     let contiguous = x.contiguous()?;
     let host = HostTensor::new(&contiguous)?;
     let from = &host.data()?[..x.elem_count()];

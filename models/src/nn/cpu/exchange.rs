@@ -16,6 +16,7 @@ use super::layer_norm::Normalise;
 use super::math::exp2;
 use super::scratch::Scratch;
 use super::simd::{MAX_LANES, MAX_TILE, Simd};
+use crate::nn::profile::{Operation, Timer};
 
 /// Places of a block: whole panels for all instruction sets.
 const PLACES: usize = 32;
@@ -72,6 +73,8 @@ pub(in crate::nn) fn exchange(
              do not fit {boxes} boxes"
         );
     }
+    // Scores and sums, of places and of tokens.
+    let _timer = Timer::start(Operation::Attention, 4 * rows * boxes * one);
     let mut places = vec![0.0; boxes * one];
     let mut answers = vec![0.0; boxes * of_box];
     places
@@ -200,7 +203,7 @@ impl Task for OneBox<'_> {
                 };
                 let q = &asked[first * channels..];
                 let panel = first..first + S::MR;
-                block.attend(simd, q, panel, &mut Rows::none(), row_scores, &mut sums);
+                block.attend::<S, false>(simd, q, panel, &mut Rows::none(), row_scores, &mut sums);
             }
         }
         for (i, answer) in self.answers.chunks_exact_mut(channels).enumerate() {
@@ -255,7 +258,7 @@ impl Tokens<'_> {
                     let a = self.keys.as_ptr().add(first * channels);
                     let b = panels.as_ptr().add(place * channels);
                     let to = scores.as_mut_ptr().add(first * S::NR);
-                    simd.tile(channels, S::NR, a, b, to, S::NR);
+                    simd.tile::<false>(channels, S::NR, a, b, to, S::NR);
                 }
             }
             for j in (0..S::NR).step_by(S::LANES) {
@@ -319,7 +322,7 @@ impl Tokens<'_> {
                 unsafe {
                     let a = turned.as_ptr().add(place * rows);
                     let b = self.values.as_ptr().add(column * rows);
-                    simd.tile(rows, channels - column, a, b, tile.as_mut_ptr(), S::NR);
+                    simd.tile::<false>(rows, channels - column, a, b, tile.as_mut_ptr(), S::NR);
                 }
                 for i in 0..S::MR.min(count - place) {
                     for j in (column..channels.min(column + S::NR)).step_by(S::LANES) {

@@ -10,6 +10,7 @@ use super::shared::{Shared, filled};
 use super::simd::Simd;
 use super::{HostTensor, Isa};
 use crate::nn::Activation;
+use crate::nn::profile::{Operation, Timer};
 
 /// Numbers of a block, about: two walks over it find it in the second cache, and it is some
 /// microseconds of work. Blocks are the same whatever the number of threads, so that sums are, too.
@@ -72,6 +73,7 @@ impl GroupNorm<'_> {
         if self.groups == 0 || channels == 0 || !channels.is_multiple_of(self.groups) {
             bail!("{channels} channels are not {} groups", self.groups);
         }
+        let _timer = Timer::start(Operation::Norm, 0);
         let contiguous = x.contiguous()?;
         let host = HostTensor::new(&contiguous)?;
         let from = &host.data()?[..x.elem_count()];

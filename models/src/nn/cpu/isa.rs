@@ -8,6 +8,7 @@ use candle_core::{Error, Result};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
 use super::simd::{Portable, Simd};
+use crate::ComputeType;
 
 /// An instruction set that this CPU has.
 ///
@@ -19,7 +20,9 @@ pub struct Isa(Kind);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     #[cfg(target_arch = "x86_64")]
-    Avx512,
+    Avx512 {
+        bf16: bool,
+    },
     #[cfg(target_arch = "x86_64")]
     Avx2,
     Portable,
@@ -45,7 +48,10 @@ impl Isa {
         #[cfg(target_arch = "x86_64")]
         {
             if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
-                found.push(Self(Kind::Avx512));
+                if is_x86_feature_detected!("avx512bf16") && is_x86_feature_detected!("avx512bw") {
+                    found.push(Self(Kind::Avx512 { bf16: true }));
+                }
+                found.push(Self(Kind::Avx512 { bf16: false }));
             }
             if is_x86_feature_detected!("avx2")
                 && is_x86_feature_detected!("fma")
@@ -92,7 +98,9 @@ impl Isa {
     pub fn name(self) -> &'static str {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => "avx512",
+            Kind::Avx512 { bf16: true } => "avx512bf16",
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 { bf16: false } => "avx512",
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => "avx2",
             Kind::Portable => "portable",
@@ -103,7 +111,7 @@ impl Isa {
     pub(super) fn tile(self) -> (usize, usize) {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => (Avx512::MR, Avx512::NR),
+            Kind::Avx512 { .. } => (Avx512::<false>::MR, Avx512::<false>::NR),
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => (Avx2::MR, Avx2::NR),
             Kind::Portable => (Portable::MR, Portable::NR),
@@ -115,12 +123,39 @@ impl Isa {
         match self.0 {
             // SAFETY: a value of `Isa` is proof that the CPU has the instructions.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => unsafe { with_avx512(task) },
+            Kind::Avx512 { .. } => unsafe { with_avx512(task) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => unsafe { with_avx2(task) },
             Kind::Portable => task.run(Portable),
         }
+    }
+}
+
+impl Isa {
+    /// Whether pairs of bf16 are multiplied faster than numbers of f32.
+    fn multiplies_pairs(self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        return self.0 == Kind::Avx512 { bf16: true };
+        #[cfg(not(target_arch = "x86_64"))]
+        return false;
+    }
+
+    /// As [`Self::run`], for a task that multiplies or rounds pairs of bf16.
+    pub(super) fn run_pairs<T: Task>(self, task: T) -> T::Output {
+        match self.0 {
+            // SAFETY: a value of `Isa` is proof that the CPU has the instructions.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 { bf16: true } => unsafe { with_avx512_bf16(task) },
+            _ => self.run(task),
+        }
+    }
+}
+
+impl ComputeType {
+    /// Whether kernels of this instruction set multiply pairs of bf16 to compute with this type.
+    pub(in crate::nn) fn in_pairs(self, isa: Isa) -> bool {
+        self == Self::Bf16 && isa.multiplies_pairs()
     }
 }
 
@@ -134,7 +169,14 @@ impl fmt::Display for Isa {
 #[target_feature(enable = "avx512f,avx512dq,avx2,fma")]
 fn with_avx512<T: Task>(task: T) -> T::Output {
     // SAFETY: the features are enabled in this function, so its caller has made sure of them.
-    task.run(unsafe { Avx512::assume() })
+    task.run(unsafe { Avx512::<false>::assume() })
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512bf16,avx2,fma")]
+fn with_avx512_bf16<T: Task>(task: T) -> T::Output {
+    // SAFETY: as above.
+    task.run(unsafe { Avx512::<true>::assume() })
 }
 
 #[cfg(target_arch = "x86_64")]

@@ -7,6 +7,7 @@ use super::isa::Task;
 use super::shared::{Shared, filled};
 use super::simd::Simd;
 use super::{HostTensor, Isa};
+use crate::nn::profile::{Operation, Timer};
 
 /// Numbers that a task takes, at least.
 const CHUNK: usize = 1 << 14;
@@ -28,6 +29,7 @@ pub(in crate::nn) fn layer_norm(
     if channels != weight.len() || channels != bias.len() {
         bail!("{} channels are wanted, got {:?}", weight.len(), x.shape());
     }
+    let _timer = Timer::start(Operation::Norm, 0);
     let contiguous = x.contiguous()?;
     let host = HostTensor::new(&contiguous)?;
     let from = &host.data()?[..x.elem_count()];

@@ -6,10 +6,12 @@ use super::gemm::{gated_into, gemm_into};
 use super::shared::filled;
 use super::{Epilogue, Factor, HostTensor, Isa, Matrix};
 use crate::nn::Activation;
+use crate::nn::profile::{Operation, Timer};
 use crate::weights::Numbers;
 
 /// `activation(x W^T + bias) + residual`; `x` is (.., inputs), `weight` (outputs, inputs), the result
-/// and `residual` (.., outputs). Tensors are f32 on the CPU.
+/// and `residual` (.., outputs). Tensors are f32 on the CPU. Beside the weight stands whether it is multiplied in
+/// pairs, with `x` rounded to bf16, if it is bf16 and inputs are even in number.
 ///
 /// # Errors
 ///
@@ -17,7 +19,7 @@ use crate::weights::Numbers;
 pub(in crate::nn) fn linear(
     isa: Isa,
     x: &Tensor,
-    weight: Numbers<'_>,
+    weight: (Numbers<'_>, bool),
     bias: Option<&[f32]>,
     activation: Activation,
     residual: Option<&Tensor>,
@@ -28,6 +30,7 @@ pub(in crate::nn) fn linear(
     let b = factor(weight, inputs)?;
     let (rows, outputs) = (outer.iter().product(), b.columns());
     let shape = [outer, &[outputs]].concat();
+    let _timer = Timer::start(Operation::Linear, rows * inputs * outputs);
     if let Some(residual) = residual
         && residual.dims() != shape
     {
@@ -58,7 +61,8 @@ pub(in crate::nn) fn linear(
 }
 
 /// `(x V^T + b) gelu(x G^T + c)`, where `V`, (outputs, inputs), is the first half of `weight` and `G` the
-/// second, `b` and `c` the halves of `bias`; `x` is (.., inputs), the result (.., outputs).
+/// second, `b` and `c` the halves of `bias`; `x` is (.., inputs), the result (.., outputs). `weight` is as for
+/// [`linear`].
 ///
 /// # Errors
 ///
@@ -66,7 +70,7 @@ pub(in crate::nn) fn linear(
 pub(in crate::nn) fn gated_linear(
     isa: Isa,
     x: &Tensor,
-    weight: Numbers<'_>,
+    weight: (Numbers<'_>, bool),
     bias: &[f32],
 ) -> Result<Tensor> {
     let Some((&inputs, outer)) = x.dims().split_last() else {
@@ -74,6 +78,7 @@ pub(in crate::nn) fn gated_linear(
     };
     let factor = factor(weight, inputs)?;
     let (rows, outputs) = (outer.iter().product(), factor.columns() / 2);
+    let _timer = Timer::start(Operation::Linear, rows * inputs * factor.columns());
     let x = x.contiguous()?;
     let x = HostTensor::new(&x)?;
     let a = Matrix::new(x.data()?, rows, inputs, inputs)?;
@@ -87,7 +92,7 @@ pub(in crate::nn) fn gated_linear(
 }
 
 /// Weights (outputs, `inputs`) as what is multiplied with.
-fn factor(weight: Numbers<'_>, inputs: usize) -> Result<Factor<'_>> {
+fn factor((weight, pairs): (Numbers<'_>, bool), inputs: usize) -> Result<Factor<'_>> {
     let count = weight.len();
     if inputs == 0 || !count.is_multiple_of(inputs) {
         bail!("{count} weights for {inputs} channels");
@@ -96,6 +101,12 @@ fn factor(weight: Numbers<'_>, inputs: usize) -> Result<Factor<'_>> {
     Ok(match weight {
         Numbers::F32(w) => Factor::Transposed(Matrix::new(w, outputs, inputs, inputs)?),
         Numbers::F16(w) => Factor::TransposedF16(Matrix::new(w, outputs, inputs, inputs)?),
-        Numbers::Bf16(w) => Factor::TransposedBf16(Matrix::new(w, outputs, inputs, inputs)?),
+        Numbers::Bf16(w) => {
+            let matrix = Matrix::new(w, outputs, inputs, inputs)?;
+            match pairs && inputs.is_multiple_of(2) {
+                true => Factor::Bf16Pairs(matrix.pairs()?),
+                false => Factor::TransposedBf16(matrix),
+            }
+        }
     })
 }

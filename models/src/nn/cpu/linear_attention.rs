@@ -12,6 +12,7 @@ use super::scratch::Scratch;
 use super::shared::{Shared, filled};
 use super::simd::Simd;
 use super::{HostTensor, Isa};
+use crate::nn::profile::{Operation, Timer};
 
 /// Pixels that are worked on together.
 const TOGETHER: usize = 8;
@@ -58,6 +59,7 @@ pub(in crate::nn) fn linear_attention(
         );
     }
     let outputs = heads.len() * dim;
+    let _timer = Timer::start(Operation::Attention, 2 * batch * pixels * outputs * dim);
     // SAFETY: a task writes the channels of its head, for all pixels of its image; no two have the same.
     let values = unsafe {
         filled(batch * pixels * outputs, |values| {

@@ -2,7 +2,7 @@
 //!
 //! Each kernel is written once, against the vectors of `simd`, and compiled for every instruction
 //! set; [`Isa::current`] says at run time which one is used. The environment variable `TID3R_CPU`
-//! (`avx512`, `avx2` or `portable`) overrides it.
+//! (`avx512bf16`, `avx512`, `avx2` or `portable`) overrides it.
 //!
 //! A result depends on the instruction set, but not on the number of threads.
 //!
@@ -37,6 +37,7 @@ mod upscaling;
 pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
 pub use isa::Isa;
 pub use peak::measured_peak_flops;
+pub use simd::Pair;
 
 pub(super) use attention::{attention, window_attention};
 pub(super) use elementwise::activation;

@@ -8,6 +8,7 @@ use super::scratch::Scratch;
 use super::shared::{Shared, filled};
 use super::simd::Simd;
 use super::{HostTensor, Isa};
+use crate::nn::profile::{Operation, Timer};
 
 /// How the numbers along an axis come from `N` numbers each: which, and their shares.
 pub(in crate::nn) type Taps<const N: usize> = Vec<[(usize, f32); N]>;
@@ -31,6 +32,7 @@ pub(in crate::nn) fn resize<const N: usize>(
     let (batch, height, width, channels) = x.dims4()?;
     assert!(rows.iter().flatten().all(|&(tap, _)| tap < height));
     assert!(columns.iter().flatten().all(|&(tap, _)| tap < width));
+    let _timer = Timer::start(Operation::Elementwise, 0);
     let contiguous = x.contiguous()?;
     let host = HostTensor::new(&contiguous)?;
     let from = &host.data()?[..x.elem_count()];
@@ -59,6 +61,7 @@ pub(in crate::nn) fn resize<const N: usize>(
 /// Those of candle.
 pub(in crate::nn) fn max_pool(isa: Isa, x: &Tensor, kernel: usize) -> Result<Tensor> {
     let (batch, height, width, channels) = x.dims4()?;
+    let _timer = Timer::start(Operation::Elementwise, 0);
     let contiguous = x.contiguous()?;
     let host = HostTensor::new(&contiguous)?;
     let from = &host.data()?[..x.elem_count()];

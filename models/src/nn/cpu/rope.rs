@@ -7,6 +7,7 @@ use super::isa::Task;
 use super::shared::{Shared, filled};
 use super::simd::Simd;
 use super::{HostTensor, Isa};
+use crate::nn::profile::{Operation, Timer};
 
 /// Numbers that a task takes, at least.
 const CHUNK: usize = 1 << 14;
@@ -25,6 +26,7 @@ pub(in crate::nn) fn rotate(
     heads: usize,
 ) -> Result<Tensor> {
     let (batch, tokens, channels) = x.dims3()?;
+    let _timer = Timer::start(Operation::Elementwise, 0);
     let (positions, pairs) = tables[0][0].dims2()?;
     if positions != tokens || channels != heads * 4 * pairs || pairs == 0 {
         bail!(

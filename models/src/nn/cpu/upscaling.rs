@@ -15,6 +15,7 @@ use super::math::gelu;
 use super::scratch::Scratch;
 use super::shared::{Shared, filled};
 use super::simd::Simd;
+use crate::nn::profile::{Operation, Timer};
 
 /// Places of a task, if rows are not longer.
 const PLACES: usize = 256;
@@ -73,6 +74,9 @@ pub(in crate::nn) fn upscaled_products(
             vectors.len()
         );
     }
+    let places = batch * height * width;
+    let of_place = channels * middle * 4 + 4 * middle * last * 4 + 16 * last * count;
+    let _timer = Timer::start(Operation::Convolution, places * of_place);
     let layers = [
         Layer::pack(isa, weights.first[0], channels, middle)?,
         Layer::pack(isa, weights.second[0], middle, last)?,
@@ -156,7 +160,7 @@ impl Layer {
             unsafe {
                 let a = self.panels.as_ptr().add(first * self.inputs);
                 let to = to.as_mut_ptr().add(first * S::NR);
-                simd.tile(self.inputs, S::NR, a, from.as_ptr(), to, S::NR);
+                simd.tile::<false>(self.inputs, S::NR, a, from.as_ptr(), to, S::NR);
             }
         }
     }

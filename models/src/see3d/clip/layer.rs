@@ -70,9 +70,10 @@ impl Layer {
         let normed = self.layer_norm1.forward(x)?;
         let of = |linear: &Linear| linear.forward(&normed, Activation::Identity);
         let (q, k, v) = (of(&self.q_proj)?, of(&self.k_proj)?, of(&self.v_proj)?);
+        let compute_type = self.out_proj.compute_type();
         let attended = match self.mask {
-            Mask::None => attention(&q, &[Memory { k, v }], self.stack.heads)?,
-            Mask::Causal => causal_attention(&q, &k, &v, self.stack.heads)?,
+            Mask::None => attention(&q, &[Memory { k, v }], self.stack.heads, compute_type)?,
+            Mask::Causal => causal_attention(&q, &k, &v, self.stack.heads, compute_type)?,
         };
         let x = self.out_proj.forward_add(&attended, x)?;
         let normed = self.layer_norm2.forward(&x)?;

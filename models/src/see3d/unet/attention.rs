@@ -57,7 +57,12 @@ impl Attention {
     /// If shapes do not fit each other.
     pub fn forward_add(&self, x: &Tensor, memory: &Memory, residual: &Tensor) -> Result<Tensor> {
         let q = self.to_q.forward(x, Activation::Identity)?;
-        let attended = attention(&q, std::slice::from_ref(memory), self.heads)?;
+        let attended = attention(
+            &q,
+            std::slice::from_ref(memory),
+            self.heads,
+            self.to_out.compute_type(),
+        )?;
         self.to_out.forward_add(&attended, residual)
     }
 }

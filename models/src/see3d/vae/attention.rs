@@ -39,7 +39,7 @@ impl Attention {
             k: of(&self.to_k)?,
             v: of(&self.to_v)?,
         };
-        let attended = attention(&of(&self.to_q)?, &[memory], 1)?;
+        let attended = attention(&of(&self.to_q)?, &[memory], 1, self.to_out.compute_type())?;
         let residual = x.flatten(1, 2)?;
         self.to_out
             .forward_add(&attended, &residual)?

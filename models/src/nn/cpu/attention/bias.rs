@@ -1,7 +1,7 @@
 //! What is added to scores.
 
-use super::super::gemm::pack_lines;
 use super::super::simd::{MAX_LANES, MAX_TILE, Simd};
+use super::head::pack_heads;
 
 /// What is added to the scores of some queries of one head.
 pub(super) enum Bias<'a> {
@@ -63,13 +63,13 @@ fn stride<S: Simd>(size: usize) -> usize {
 
 impl Bias<'_> {
     /// How many numbers of room [`Self::rows`] wants for `queries` queries (a multiple of the tile's
-    /// rows), which meet at most `keys` keys at a time.
-    pub(super) fn room<S: Simd>(&self, dim: usize, queries: usize, keys: usize) -> [usize; 4] {
+    /// rows), which meet at most `keys` keys at a time; their channels are `steps` numbers or pairs.
+    pub(super) fn room<S: Simd>(&self, steps: usize, queries: usize, keys: usize) -> [usize; 4] {
         let Self::Relative(relative) = self else {
             return [0; 4];
         };
         let [rows, columns] = relative.size;
-        let table = (2 * rows.max(columns) - 1).next_multiple_of(S::NR) * dim;
+        let table = (2 * rows.max(columns) - 1).next_multiple_of(S::NR) * steps;
         [
             table,
             queries * stride::<S>(rows),
@@ -80,7 +80,7 @@ impl Bias<'_> {
 
     /// `q` are the `queries` packed queries.
     #[inline(always)]
-    pub(super) fn rows<'a, S: Simd>(
+    pub(super) fn rows<'a, S: Simd, const PAIRS: bool>(
         &'a self,
         simd: S,
         (q, queries): (&[f32], usize),
@@ -96,8 +96,9 @@ impl Bias<'_> {
                 let table = relative.tables[axis].as_ptr();
                 let last_first = |i: usize| table.wrapping_add((count - 1 - i) * dim);
                 // SAFETY: the table has `count` lines of `dim` numbers.
-                unsafe { pack_lines(simd, last_first, count, dim, S::NR, packed) };
-                assert!(q.len() >= queries * dim && products.len() >= queries * stride);
+                unsafe { pack_heads::<S, PAIRS>(simd, last_first, count, dim, S::NR, packed) };
+                let steps = if PAIRS { dim / 2 } else { dim };
+                assert!(q.len() >= queries * steps && products.len() >= queries * stride);
                 let mut tile = [0.0; MAX_TILE];
                 for first in (0..queries).step_by(S::MR) {
                     for column in (0..count).step_by(S::NR) {
@@ -105,11 +106,11 @@ impl Bias<'_> {
                         // packed.
                         unsafe {
                             let (q, table) = (
-                                q.as_ptr().add(first * dim),
-                                packed.as_ptr().add(column * dim),
+                                q.as_ptr().add(first * steps),
+                                packed.as_ptr().add(column * steps),
                             );
                             let tile = tile.as_mut_ptr();
-                            simd.tile(dim, count - column, q, table, tile, S::NR);
+                            simd.tile::<PAIRS>(steps, count - column, q, table, tile, S::NR);
                         }
                         for (i, row) in tile.chunks_exact(S::NR).enumerate().take(S::MR) {
                             products[(first + i) * stride + column..][..S::NR].copy_from_slice(row);

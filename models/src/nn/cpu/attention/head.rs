@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use super::super::gemm::pack_lines;
-use super::super::isa::Task;
+use super::super::isa::{Isa, Task};
 use super::super::math::exp2;
 use super::super::scratch::Scratch;
-use super::super::simd::{MAX_LANES, MAX_TILE, Piece, Simd};
+use super::super::simd::{MAX_LANES, MAX_TILE, Pair, Piece, Simd};
 use super::bias::{Bias, Rows};
 
 /// Keys of a block, at most: their packed keys and values stay in the second cache.
@@ -39,27 +39,48 @@ pub(in crate::nn::cpu) struct Sums<'a> {
     pub(in crate::nn::cpu) width: usize,
 }
 
-impl Task for Head<'_> {
+impl Head<'_> {
+    /// Computes the results; with `pairs` of bf16, if channels are pairs.
+    pub(super) fn attend(self, isa: Isa, pairs: bool) {
+        match pairs && self.dim.is_multiple_of(2) {
+            true => isa.run_pairs(Of::<true>(self)),
+            false => isa.run(Of::<false>(self)),
+        }
+    }
+}
+
+/// A head of numbers, or of pairs of bf16.
+struct Of<'a, const PAIRS: bool>(Head<'a>);
+
+impl<const PAIRS: bool> Task for Of<'_, PAIRS> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
+        self.0.compute::<S, PAIRS>(simd);
+    }
+}
+
+impl Head<'_> {
+    #[inline(always)]
+    fn compute<S: Simd, const PAIRS: bool>(self, simd: S) {
         let dim = self.dim;
+        let steps = steps_of::<PAIRS>(dim);
         let (keys, queries) = (self.memory.len(), self.q.len().next_multiple_of(S::MR));
         let width = dim.next_multiple_of(S::NR);
-        // Blocks of about the same size, whole panels but for the last.
-        let most = keys.div_ceil(keys.div_ceil(KEYS)).next_multiple_of(S::NR);
+        // Blocks of about the same size, whole panels but for the last, and whole pairs.
+        let most = (keys.div_ceil(keys.div_ceil(KEYS))).next_multiple_of(S::NR.max(2 * S::LANES));
         let together = (TOGETHER / S::MR).max(1);
         let sizes = [
-            queries * dim,
-            most * dim,
-            most * width,
+            queries * steps,
+            most * steps,
+            steps_of::<PAIRS>(most) * width,
             KeyBlock::room::<S>(most, together),
             queries * width,
             queries,
             queries,
         ];
-        let bias_sizes = self.bias.room::<S>(dim, queries, most);
+        let bias_sizes = self.bias.room::<S>(steps, queries, most);
         let all = sizes.iter().chain(&bias_sizes);
         let mut scratch = Scratch::take(all.map(|n| n.next_multiple_of(16)).sum());
         let mut rest = &mut scratch[..];
@@ -80,13 +101,14 @@ impl Task for Head<'_> {
             width,
         };
         // SAFETY: `dim` numbers can be read at each query.
-        unsafe { pack_lines(simd, |i| self.q[i], self.q.len(), dim, S::MR, q) };
-        let mut bias = self.bias.rows(simd, (q, queries), dim, bias_room);
+        unsafe { pack_heads::<S, PAIRS>(simd, |i| self.q[i], self.q.len(), dim, S::MR, q) };
+        let bias = &self.bias;
+        let mut bias = bias.rows::<S, PAIRS>(simd, (q, queries), dim, bias_room);
         for (memory, start) in self.memory.chunks(most).zip((0..).step_by(most)) {
             // SAFETY: `dim` numbers can be read at each key and value.
             unsafe {
-                pack_lines(simd, |i| memory[i][0], memory.len(), dim, S::NR, k);
-                pack_values(simd, memory, dim, v);
+                pack_heads::<S, PAIRS>(simd, |i| memory[i][0], memory.len(), dim, S::NR, k);
+                pack_values::<S, PAIRS>(simd, memory, dim, v);
             }
             for first in (0..queries).step_by(together * S::MR) {
                 let some = first..(first + together * S::MR).min(queries);
@@ -97,7 +119,8 @@ impl Task for Head<'_> {
                     keys: memory.len(),
                     dim,
                 };
-                block.attend(simd, &q[first * dim..], some, &mut bias, scores, &mut sums);
+                let q = &q[first * steps..];
+                block.attend::<S, PAIRS>(simd, q, some, &mut bias, scores, &mut sums);
             }
         }
         for (i, &out) in self.out.iter().enumerate() {
@@ -114,22 +137,74 @@ impl Task for Head<'_> {
     }
 }
 
-/// Packs values into panels of the tile's columns, with zeros beyond `dim`.
+/// How many numbers, or pairs, `count` numbers are.
+fn steps_of<const PAIRS: bool>(count: usize) -> usize {
+    match PAIRS {
+        true => count.div_ceil(2),
+        false => count,
+    }
+}
+
+/// [`pack_lines`] of `dim` numbers of each row, or of pairs of them, if they are any.
+///
+/// # Safety
+///
+/// As there.
+#[inline(always)]
+pub(super) unsafe fn pack_heads<S: Simd, const PAIRS: bool>(
+    simd: S,
+    row: impl Fn(usize) -> *const f32,
+    rows: usize,
+    dim: usize,
+    width: usize,
+    to: &mut [f32],
+) {
+    // SAFETY: as the caller promises.
+    unsafe {
+        match PAIRS {
+            true => {
+                let row = |i| row(i).cast::<Pair<f32>>();
+                pack_lines(simd, row, rows, dim / 2, width, to);
+            }
+            false => pack_lines(simd, row, rows, dim, width, to),
+        }
+    }
+}
+
+/// Packs values, or pairs of two keys' values, into panels of the tile's columns, with zeros beyond `dim`
+/// and for a key that is missing in the last pair.
 ///
 /// # Safety
 ///
 /// `dim` numbers can be read at each value.
 #[inline(always)]
-unsafe fn pack_values<S: Simd>(simd: S, memory: &[[*const f32; 2]], dim: usize, to: &mut [f32]) {
-    assert!(to.len() >= memory.len() * dim.next_multiple_of(S::NR));
+unsafe fn pack_values<S: Simd, const PAIRS: bool>(
+    simd: S,
+    memory: &[[*const f32; 2]],
+    dim: usize,
+    to: &mut [f32],
+) {
+    assert!(to.len() >= steps_of::<PAIRS>(memory.len()) * dim.next_multiple_of(S::NR));
     let mut to = to.as_mut_ptr();
     for panel in (0..dim).step_by(S::NR) {
-        for &[_, value] in memory {
+        for keys in memory.chunks(if PAIRS { 2 } else { 1 }) {
             for j in (panel..panel + S::NR).step_by(S::LANES) {
                 let count = dim.saturating_sub(j).min(S::LANES);
-                // SAFETY: as the caller says; the length of `to` is checked.
+                let values = |[_, value]: [*const f32; 2]| {
+                    // SAFETY: as the caller says.
+                    unsafe { simd.load_up_to(value.wrapping_add(j), count) }
+                };
+                let first = values(keys[0]);
+                let packed = match PAIRS {
+                    true => {
+                        let second = keys.get(1).map_or(simd.splat(0.0), |&key| values(key));
+                        simd.round_pair(first, second)
+                    }
+                    false => first,
+                };
+                // SAFETY: the length of `to` is checked.
                 unsafe {
-                    simd.store(to, simd.load_up_to(value.wrapping_add(j), count));
+                    simd.store(to, packed);
                     to = to.add(S::LANES);
                 }
             }
@@ -137,7 +212,26 @@ unsafe fn pack_values<S: Simd>(simd: S, memory: &[[*const f32; 2]], dim: usize, 
     }
 }
 
-/// A block of packed keys and values.
+/// Numbers, two whole vectors or more, become pairs in the first half of their place.
+#[inline(always)]
+fn round_row<S: Simd>(simd: S, row: &mut [f32]) {
+    for i in (0..row.len() / 2).step_by(S::LANES) {
+        let from = &row[2 * i..][..2 * S::LANES];
+        // SAFETY: two vectors; and one, at or before where they are.
+        unsafe {
+            let (first, second) = (
+                simd.load(from.as_ptr()),
+                simd.load(from[S::LANES..].as_ptr()),
+            );
+            simd.store(
+                row[i..][..S::LANES].as_mut_ptr(),
+                simd.round_pairs(first, second),
+            );
+        }
+    }
+}
+
+/// A block of packed keys and values, or pairs of channels and of keys.
 pub(in crate::nn::cpu) struct KeyBlock<'a> {
     pub(in crate::nn::cpu) k: &'a [f32],
     pub(in crate::nn::cpu) v: &'a [f32],
@@ -150,7 +244,7 @@ pub(in crate::nn::cpu) struct KeyBlock<'a> {
 /// Distance of the scores of one query from the next one's.
 fn row_size<S: Simd>(keys: usize) -> usize {
     // A vector more, so that rows do not fall into the same set of a cache.
-    keys.next_multiple_of(S::NR) + MAX_LANES
+    keys.next_multiple_of(S::NR.max(2 * S::LANES)) + MAX_LANES
 }
 
 impl KeyBlock<'_> {
@@ -162,7 +256,7 @@ impl KeyBlock<'_> {
     /// Lets `queries` (whole panels) attend to these keys; `q` are their panels, and there is room for
     /// `scores`.
     #[inline(always)]
-    pub(in crate::nn::cpu) fn attend<S: Simd>(
+    pub(in crate::nn::cpu) fn attend<S: Simd, const PAIRS: bool>(
         &self,
         simd: S,
         q: &[f32],
@@ -173,18 +267,21 @@ impl KeyBlock<'_> {
     ) {
         let Self { keys, dim, .. } = *self;
         let (mr, nr, row) = (S::MR, S::NR, row_size::<S>(keys));
-        let padded = keys.next_multiple_of(nr);
-        assert!(q.len() >= queries.len() * dim && self.k.len() >= padded * dim);
+        let padded = keys.next_multiple_of(nr.max(2 * S::LANES));
+        let (steps, pieces) = (steps_of::<PAIRS>(dim), steps_of::<PAIRS>(keys));
+        assert!(q.len() >= queries.len() * steps);
+        assert!(self.k.len() >= keys.next_multiple_of(nr) * steps);
         assert!(queries.len().is_multiple_of(mr) && scores.len() >= queries.len() * row);
-        assert!(self.v.len() >= keys * sums.width);
+        assert!(self.v.len() >= pieces * sums.width);
         assert!(sums.values.len() >= queries.end * sums.width);
         for key in (0..keys).step_by(nr) {
             for first in (0..queries.len()).step_by(mr) {
                 // SAFETY: panels and rows are inside, as asserted.
                 unsafe {
-                    let (q, k) = (q.as_ptr().add(first * dim), self.k.as_ptr().add(key * dim));
+                    let q = q.as_ptr().add(first * steps);
+                    let k = self.k.as_ptr().add(key * steps);
                     let to = scores.as_mut_ptr().add(first * row + key);
-                    simd.tile(dim, keys - key, q, k, to, row);
+                    simd.tile::<PAIRS>(steps, keys - key, q, k, to, row);
                 }
             }
         }
@@ -193,11 +290,14 @@ impl KeyBlock<'_> {
             scores[keys..].fill(f32::NEG_INFINITY);
             let bias = bias.get(simd, query, self.start, keys);
             self.weigh(simd, query, scores, bias, sums);
+            if PAIRS {
+                round_row(simd, scores);
+            }
         }
         let piece = [Piece {
             index: 0,
             start: 0,
-            length: keys,
+            length: pieces,
         }];
         let mut tile = [0.0; MAX_TILE];
         for column in (0..dim).step_by(nr) {
@@ -208,9 +308,9 @@ impl KeyBlock<'_> {
                 }
                 // SAFETY: the rows and the panel of values are inside, as asserted.
                 unsafe {
-                    let v = self.v.as_ptr().add(column * keys);
+                    let v = self.v.as_ptr().add(column * pieces);
                     let to = tile.as_mut_ptr();
-                    simd.tile_of_pieces(&piece, dim - column, rows.as_ptr(), v, to, nr);
+                    simd.tile_of_pieces::<PAIRS>(&piece, dim - column, rows.as_ptr(), v, to, nr);
                 }
                 for i in 0..mr {
                     let query = queries.start + first + i;

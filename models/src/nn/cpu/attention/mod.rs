@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use super::shared::{Shared, filled};
 use super::{HostTensor, Isa};
 use crate::nn::Memory;
+use crate::nn::profile::{Operation, Timer};
 use bias::Bias;
 use head::Head;
 
@@ -82,7 +83,8 @@ fn block_size(queries: usize, tasks: usize) -> usize {
 }
 
 /// `softmax(q k^T / sqrt(head_dim) + mask) v` for each head; see [`crate::nn::attention()`]. The mask is
-/// (queries, keys); every query has a key that it leaves.
+/// (queries, keys); every query has a key that it leaves. With `pairs`, what is multiplied is rounded to bf16,
+/// if a head's channels are even in number.
 ///
 /// # Errors
 ///
@@ -93,6 +95,7 @@ pub(in crate::nn) fn attention(
     memories: &[Memory],
     heads: usize,
     mask: Option<&[f32]>,
+    pairs: bool,
 ) -> Result<Tensor> {
     let (batch, queries, channels) = q.dims3()?;
     if heads == 0 || channels == 0 || !channels.is_multiple_of(heads) {
@@ -126,6 +129,7 @@ pub(in crate::nn) fn attention(
     if mask.is_some_and(|mask| mask.len() != queries * keys) {
         bail!("a mask for other scores than {queries} x {keys}");
     }
+    let _timer = Timer::start(Operation::Attention, 2 * batch * queries * keys * channels);
     let size = block_size(queries, batch * heads);
     let blocks = queries.div_ceil(size);
     // SAFETY: tasks write the channels of their head for all their queries; no two have the same.
@@ -140,7 +144,7 @@ pub(in crate::nn) fn attention(
                     let first = task % blocks * size;
                     let count = size.min(queries - first);
                     let at = (item * queries + first) * channels + head * dim;
-                    isa.run(Head {
+                    let head = Head {
                         q: (0..count)
                             .map(|i| q.pointer(item, first + i, head * dim))
                             .collect(),
@@ -156,7 +160,8 @@ pub(in crate::nn) fn attention(
                             ),
                         },
                         out: (0..count).map(|i| out.add(at + i * channels)).collect(),
-                    });
+                    };
+                    head.attend(isa, pairs);
                 });
             Ok::<_, candle_core::Error>(())
         })?

@@ -12,6 +12,7 @@ use super::super::{HostTensor, Isa};
 use super::bias::{Bias, Relative};
 use super::head::Head;
 use super::{block_size, rows_whole};
+use crate::nn::profile::{Operation, Timer};
 use crate::nn::{Memory, ScoreBias};
 
 /// [`crate::nn::window_attention()`] of f32 on the CPU, with a bias of the right shape.
@@ -26,6 +27,7 @@ pub(in crate::nn) fn window_attention(
     beyond: &Memory,
     size: [usize; 2],
     bias: &ScoreBias,
+    pairs: bool,
 ) -> Result<Tensor> {
     let (batch, height, width, heads, dim) = q.dims5()?;
     if size.contains(&0) || dim == 0 {
@@ -65,6 +67,8 @@ pub(in crate::nn) fn window_attention(
     let most = size[0].min(height) * size[1].min(width);
     let at_once = block_size(most, groups);
     let blocks = most.div_ceil(at_once);
+    let pairs_of_tokens = batch * height * width * heads * size[0] * size[1];
+    let _timer = Timer::start(Operation::Attention, 2 * pairs_of_tokens * dim);
     // SAFETY: tasks write the channels of their head for all their queries; no two have the same.
     let values = unsafe {
         filled(batch * height * width * heads * dim, |values| {
@@ -83,7 +87,8 @@ pub(in crate::nn) fn window_attention(
                         let token = (item * height + y) * width + x;
                         out.add((token * heads + head) * dim)
                     };
-                    isa.run(windows.head(item, corner, head, queries, result));
+                    let head = windows.head(item, corner, head, queries, result);
+                    head.attend(isa, pairs);
                 });
             Ok::<_, candle_core::Error>(())
         })?

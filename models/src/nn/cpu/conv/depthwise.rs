@@ -9,6 +9,7 @@ use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::math::activate;
 use crate::nn::cpu::shared::{Shared, filled};
 use crate::nn::cpu::simd::Simd;
+use crate::nn::profile::{Operation, Timer};
 
 /// Channels whose weights lie together: a multiple of all vectors.
 const BLOCK: usize = 16;
@@ -82,6 +83,11 @@ impl Depthwise {
     ) -> Result<Vec<f32>> {
         x.check(images.pixels(), self.channels)?;
         let strided = images.strided(self.stride);
+        let taps = self.kernel * self.kernel;
+        let _timer = Timer::start(
+            Operation::Depthwise,
+            strided.pixels() * self.channels * taps,
+        );
         let zeros = vec![0.0; self.channels];
         let size = strided.width * self.channels;
         let rows = strided.batch * strided.height;

@@ -3,14 +3,16 @@
 //! The first factor, the windows around all pixels, would be `kernel^2` times the image. It never exists:
 //! the product reads windows where they lie, piece by piece.
 
-use candle_core::Result;
+use candle_core::{Result, bail};
+use half::bf16;
 use rayon::prelude::*;
 
-use super::{Epilogue, Filter, Images, Part, Steps};
+use super::{Epilogue, Filter, Images, Part, Pixels, Steps};
 use crate::nn::cpu::gemm::{Factor, Matrix, PackedFactor, Pieces, Scattered, Table};
-use crate::nn::cpu::isa::Isa;
+use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::scratch::Scratch;
 use crate::nn::cpu::shared::Shared;
+use crate::nn::cpu::simd::{Pair, Simd, Stored};
 
 /// Pixels of a task, a multiple of all tiles' rows: so many rows of windows stay in the second cache,
 /// and reading the filters costs little against multiplying.
@@ -25,6 +27,9 @@ const CHANNELS: usize = 24;
 /// A convolution as a product with windows.
 pub(in crate::nn) struct Gathered {
     isa: Isa,
+    /// Whether pairs of channels, rounded to bf16, are multiplied.
+    pairs: bool,
+    /// Channels, or pairs of them.
     inputs: usize,
     outputs: usize,
     steps: Steps,
@@ -33,7 +38,8 @@ pub(in crate::nn) struct Gathered {
 }
 
 impl Gathered {
-    pub(super) fn new(isa: Isa, filter: Filter<'_>) -> Result<Self> {
+    /// If `pairs`, what is multiplied is rounded to bf16; channels are even in number then, of all parts.
+    pub(super) fn new(isa: Isa, filter: Filter<'_>, pairs: bool) -> Result<Self> {
         let (outputs, inputs, steps) = (filter.outputs(), filter.inputs(), filter.steps);
         let values = filter.values()?;
         let depth = steps.kernel * steps.kernel * inputs;
@@ -45,14 +51,32 @@ impl Gathered {
                 }
             }
         }
-        let rows = Factor::Transposed(Matrix::new(&rows, outputs, depth, depth)?);
+        let halves: Vec<bf16> = match pairs {
+            true => rows.iter().map(|&x| bf16::from_f32(x)).collect(),
+            false => Vec::new(),
+        };
+        let factor = match pairs {
+            true => Factor::Bf16Pairs(Matrix::new(&halves, outputs, depth, depth)?.pairs()?),
+            false => Factor::Transposed(Matrix::new(&rows, outputs, depth, depth)?),
+        };
         Ok(Self {
             isa,
-            inputs,
+            pairs,
+            inputs: if pairs { inputs / 2 } else { inputs },
             outputs,
             steps,
-            filter: PackedFactor::pack_for(isa, rows),
+            filter: PackedFactor::pack_for(isa, factor),
         })
+    }
+
+    /// Whether channels may lie in these parts.
+    pub(super) fn takes(&self, parts: &[Part<'_>]) -> bool {
+        let whole = |part: &Part<'_>| part.pixels.channels().is_multiple_of(2);
+        !self.pairs || parts.iter().all(whole)
+    }
+
+    pub(super) fn multiply_adds(&self, images: Images) -> usize {
+        self.steps.over(images).pixels() * self.filter.depth() * self.outputs
     }
 
     /// See [`super::Convolution::run`].
@@ -67,6 +91,19 @@ impl Gathered {
         epilogue: Epilogue<'_>,
         out: *mut f32,
     ) -> Result<()> {
+        let rounded = match self.pairs {
+            true => {
+                (parts.iter().map(|part| self.rounded(images, part))).collect::<Result<Vec<_>>>()?
+            }
+            false => Vec::new(),
+        };
+        let in_pairs: Vec<Part<'_>> = (parts.iter().zip(&rounded))
+            .map(|(part, values)| Part {
+                pixels: Pixels::new(values, part.pixels.channels() / 2),
+                times: part.times,
+            })
+            .collect();
+        let parts = if self.pairs { &in_pairs[..] } else { parts };
         let windows = Windows::new(self, images, parts);
         let (all, outputs) = (self.steps.over(images).pixels(), self.outputs);
         let panels = outputs.div_ceil(self.isa.tile().1);
@@ -112,6 +149,55 @@ impl Gathered {
             unsafe { product.run() };
         });
         Ok(())
+    }
+}
+
+impl Gathered {
+    /// The pixels of a part of `images`, side by side, with pairs of channels rounded to bf16.
+    ///
+    /// # Errors
+    ///
+    /// If channels are odd in number.
+    fn rounded(&self, images: Images, part: &Part<'_>) -> Result<Scratch> {
+        let count = images.pixels() / (part.times * part.times);
+        let pixels = part.pixels.matrix(0, count)?;
+        let pairs = part.pixels.channels() / 2;
+        if part.pixels.channels() != 2 * pairs {
+            bail!("{} channels are no pairs", part.pixels.channels());
+        }
+        let mut values = Scratch::take(count * pairs);
+        (values.par_chunks_mut(PIXELS * pairs.max(1)).enumerate()).for_each(|(i, to)| {
+            let from = pixels.rows_from(i * PIXELS, PIXELS);
+            self.isa.run_pairs(Round { from, to });
+        });
+        Ok(values)
+    }
+}
+
+/// Rounds pairs of numbers in all rows to bf16, and puts the rows side by side into `to`, which is as long.
+struct Round<'a> {
+    from: Matrix<'a>,
+    to: &'a mut [f32],
+}
+
+impl Task for Round<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let numbers = self.from.columns();
+        let rows = self.to.chunks_exact_mut((numbers / 2).max(1));
+        for (i, to) in rows.enumerate().take(self.from.rows()) {
+            let from = self.from.part_of_row(i, 0, numbers);
+            let parts = from.chunks(2 * S::LANES).zip(to.chunks_mut(S::LANES));
+            for (from, to) in parts {
+                // SAFETY: there are as many pairs as numbers to be written.
+                unsafe {
+                    let pairs = Pair::load_up_to(simd, from.as_ptr().cast::<Pair<f32>>(), to.len());
+                    simd.store_up_to(to.as_mut_ptr(), to.len(), pairs);
+                }
+            }
+        }
     }
 }
 

@@ -32,6 +32,7 @@ use candle_core::{Error, Result, bail};
 
 use super::isa::Isa;
 use crate::Parameter;
+use crate::nn::profile::Operation;
 
 /// The weights of a convolution and what they are applied to.
 #[derive(Clone, Copy, Debug)]
@@ -135,8 +136,14 @@ pub(in crate::nn) enum Convolution {
 }
 
 impl Convolution {
-    /// For `filter`; `fast` allows the larger errors of the larger tiles.
-    pub(in crate::nn) fn new(isa: Isa, filter: Filter<'_>, fast: bool) -> Result<Self> {
+    /// For `filter`; `fast` allows the larger errors of the larger tiles, `pairs` those of multiplying numbers
+    /// rounded to bf16.
+    pub(in crate::nn) fn new(
+        isa: Isa,
+        filter: Filter<'_>,
+        fast: bool,
+        pairs: bool,
+    ) -> Result<Self> {
         // Below, what is saved goes into transforms.
         const CHANNELS_FOR_WINOGRAD: usize = 32;
         let kernel = filter.steps.kernel;
@@ -155,7 +162,10 @@ impl Convolution {
                 Ok(Self::Winograd(Box::new(way)))
             }
             _ if Shifted::pays(isa, filter) => Shifted::new(isa, filter).map(Self::Shifted),
-            _ => Gathered::new(isa, filter).map(Self::Gathered),
+            _ => {
+                let pairs = pairs && filter.inputs().is_multiple_of(2);
+                Gathered::new(isa, filter, pairs).map(Self::Gathered)
+            }
         }
     }
 
@@ -163,8 +173,20 @@ impl Convolution {
     pub(in crate::nn) fn takes(&self, parts: &[Part<'_>]) -> bool {
         matches!(
             (self, parts),
-            (Self::Gathered(_), _) | (_, [Part { times: 1, .. }]) | (Self::Winograd(_), [_])
-        )
+            (_, [Part { times: 1, .. }]) | (Self::Winograd(_), [_])
+        ) || matches!(self, Self::Gathered(way) if way.takes(parts))
+    }
+
+    /// What [`Self::run`] does, and how many multiply-adds of it.
+    fn work(&self, images: Images, parts: &[Part<'_>]) -> (Operation, usize) {
+        match self {
+            Self::Winograd(way) => {
+                let times = parts.first().map_or(1, |part| part.times);
+                (Operation::Winograd, way.multiply_adds(images, times))
+            }
+            Self::Gathered(way) => (Operation::Convolution, way.multiply_adds(images)),
+            Self::Shifted(way) => (Operation::Convolution, way.multiply_adds(images)),
+        }
     }
 
     /// The convolution of images, whose channels are those of `parts` one after the other, finished by

@@ -58,6 +58,10 @@ impl Shifted {
         })
     }
 
+    pub(super) fn multiply_adds(&self, images: Images) -> usize {
+        images.pixels() * self.filter.depth() * self.filter.columns()
+    }
+
     /// See [`super::Convolution::run`].
     ///
     /// # Safety

@@ -5,6 +5,7 @@ use candle_core::{Result, bail};
 use super::{Convolution, Epilogue, Images, Part, Pixels, Steps};
 use crate::nn::cpu::scratch::Scratch;
 use crate::nn::cpu::shared::filled;
+use crate::nn::profile::Timer;
 
 /// A convolution and what is done to its outputs.
 pub(in crate::nn) struct Stage<'a> {
@@ -50,6 +51,8 @@ impl Stage<'_> {
         if self.size(images) == 0 {
             return Ok(());
         }
+        let (operation, work) = self.convolution.work(images, parts);
+        let _timer = Timer::start(operation, work);
         // SAFETY: just made sure of, and as the caller promises.
         unsafe { self.convolution.run(images, parts, self.epilogue, out) }
     }

@@ -1,5 +1,6 @@
 //! All ways of computing a convolution, on all instruction sets, against sums in f64.
 
+use half::bf16;
 use proptest::prelude::*;
 
 use super::*;
@@ -9,6 +10,8 @@ use crate::nn::Activation;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Way {
     Gathered,
+    /// Of numbers rounded to bf16.
+    Pairs,
     Shifted,
     Winograd(Scheme),
 }
@@ -16,7 +19,8 @@ enum Way {
 impl Way {
     fn prepare(self, isa: Isa, filter: Filter<'_>) -> Convolution {
         match self {
-            Self::Gathered => Gathered::new(isa, filter).map(Convolution::Gathered),
+            Self::Gathered => Gathered::new(isa, filter, false).map(Convolution::Gathered),
+            Self::Pairs => Gathered::new(isa, filter, true).map(Convolution::Gathered),
             Self::Shifted => Shifted::new(isa, filter).map(Convolution::Shifted),
             Self::Winograd(scheme) => {
                 let way = Winograd::new(isa, filter, &[scheme]);
@@ -36,10 +40,11 @@ impl Way {
             .collect()
     }
 
-    /// The relative L2 error on well-scaled numbers that no test may exceed.
+    /// The relative L2 error on well-scaled numbers, which are rounded to bf16 before, if they are at all, that
+    /// no test may exceed.
     fn tolerance(self) -> f64 {
         match self {
-            Self::Gathered | Self::Shifted => 1e-6,
+            Self::Gathered | Self::Pairs | Self::Shifted => 1e-6,
             Self::Winograd(Scheme::F23) => 1e-6,
             Self::Winograd(Scheme::F43 | Scheme::F25) => 3e-6,
             Self::Winograd(_) => 1e-4,
@@ -84,6 +89,16 @@ impl Layer {
             x: numbers(seed, images.pixels() * inputs),
             weight: numbers(seed + 1, outputs * inputs * kernel * kernel),
             bias: numbers(seed + 2, outputs),
+        }
+    }
+
+    /// The same with all numbers rounded to bf16.
+    fn rounded(&self) -> Self {
+        let round = |x: &Vec<f32>| x.iter().map(|&x| bf16::from_f32(x).to_f32()).collect();
+        Self {
+            x: round(&self.x),
+            weight: round(&self.weight),
+            ..self.clone()
         }
     }
 
@@ -210,6 +225,26 @@ proptest! {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn pairs_of_channels_are_rounded(
+        seed in 0_u64..1000,
+        size in (1_usize..3, 1_usize..30, 1_usize..30),
+        inputs in prop::sample::select(vec![2, 6, 16, 34, 80]),
+        outputs in prop::sample::select(vec![1, 6, 17, 33]),
+        kernel in prop::sample::select(vec![1, 3, 5]),
+        stride in 1_usize..3,
+    ) {
+        let layer = Layer {
+            steps: Steps::around(kernel, stride),
+            ..Layer::random(seed, images(size.0, size.1, size.2), inputs, outputs, kernel)
+        };
+        let want = layer.rounded().want();
+        for isa in Isa::available() {
+            let error = error(&layer.run(Way::Pairs, isa), &want);
+            prop_assert!(error < Way::Pairs.tolerance(), "{isa}: {error}");
+        }
+    }
 
     #[test]
     fn strides_skip_pixels(
@@ -389,7 +424,7 @@ fn the_way_suits_the_layer() {
             weight: &Parameter::from_values([outputs, inputs, kernel, kernel], weights),
             steps: Steps::around(kernel, stride),
         };
-        match Convolution::new(isa, filter, fast).unwrap() {
+        match Convolution::new(isa, filter, fast, false).unwrap() {
             Convolution::Winograd(_) => "winograd",
             Convolution::Gathered(_) => "gathered",
             Convolution::Shifted(_) => "shifted",

@@ -9,6 +9,7 @@ use crate::nn::Activation;
 use crate::nn::cpu::gemm::{Factor, Matrix, PackedFactor, Pieces, Scattered, Table};
 use crate::nn::cpu::isa::Isa;
 use crate::nn::cpu::shared::{Shared, filled};
+use crate::nn::profile::{Operation, Timer};
 
 /// Pixels of a task, a multiple of all tiles' rows.
 const PIXELS: usize = 168;
@@ -81,6 +82,7 @@ impl Transpose {
         let inputs = self.filters[0].depth();
         x.check(all, inputs)?;
         let columns = self.kernel * self.outputs;
+        let _timer = Timer::start(Operation::Convolution, all * inputs * columns * self.kernel);
         let (pieces, zeros) = (Pieces::new([inputs]), vec![0.0; inputs]);
         let part = |out: Shared<f32>, first: usize, i: usize| {
             let count = PIXELS.min(all - first);

@@ -52,6 +52,9 @@ impl<'a> Panels<'a> {
 
 /// A product of two blocks that are packed, and what becomes of it.
 pub(super) struct Block<'a> {
+    /// Whether numbers of the panels are pairs of bf16.
+    pub(super) pairs: bool,
+    /// Steps: numbers, or pairs.
     pub(super) depth: usize,
     pub(super) rows: usize,
     pub(super) columns: usize,
@@ -78,15 +81,28 @@ impl Block<'_> {
     /// can be read and written at these rows and columns, and nobody else does. Bias and residual
     /// have at least as many columns, and the residual these rows.
     pub(super) unsafe fn run(self, isa: Isa) {
-        isa.run(self);
+        match self.pairs {
+            true => isa.run_pairs(Of::<true>(self)),
+            false => isa.run(Of::<false>(self)),
+        }
     }
 }
 
-impl Task for Block<'_> {
+/// A block of numbers, or of pairs.
+struct Of<'a, const PAIRS: bool>(Block<'a>);
+
+impl<const PAIRS: bool> Task for Of<'_, PAIRS> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
+        self.0.compute::<S, PAIRS>(simd);
+    }
+}
+
+impl Block<'_> {
+    #[inline(always)]
+    fn compute<S: Simd, const PAIRS: bool>(self, simd: S) {
         #[repr(align(64))]
         struct Tile([f32; MAX_TILE]);
         let mut tile = Tile([0.0; MAX_TILE]);
@@ -104,7 +120,7 @@ impl Task for Block<'_> {
                 // `MAX_TILE` numbers.
                 unsafe {
                     let to = tile.0.as_mut_ptr();
-                    simd.tile(self.depth, self.columns - column, a, b, to, S::NR);
+                    simd.tile::<PAIRS>(self.depth, self.columns - column, a, b, to, S::NR);
                 }
                 let rows = S::MR.min(self.rows - row);
                 let columns = S::NR.min(self.columns - column);

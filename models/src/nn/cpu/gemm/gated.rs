@@ -27,7 +27,7 @@ const ROWS: usize = 84;
 ///
 /// # Errors
 ///
-/// If the shapes do not fit each other. Nothing is written then, otherwise every element.
+/// If the shapes do not fit each other or the factor. Nothing is written then, otherwise every element.
 ///
 /// # Safety
 ///
@@ -50,7 +50,7 @@ pub(in crate::nn::cpu) unsafe fn gated_into(
         );
     }
     let outputs = both / 2;
-    with_packed_rows(isa, a, |start, count, packed| {
+    with_packed_rows(isa, a, factor.in_pairs(), |start, count, packed| {
         let product = Product {
             isa,
             a: packed,
@@ -63,8 +63,7 @@ pub(in crate::nn::cpu) unsafe fn gated_into(
         share(isa, count, outputs, GROUP, |rows, columns| {
             product.part(rows, columns);
         });
-    });
-    Ok(())
+    })
 }
 
 /// A product with the first factor packed.
@@ -81,7 +80,7 @@ impl Product<'_> {
     /// What one task does: some rows and columns of `C`.
     fn part(&self, rows: Range<usize>, columns: Range<usize>) {
         let (mr, nr) = self.isa.tile();
-        let (depth, outputs) = (self.factor.depth(), self.outputs);
+        let (depth, outputs) = (self.factor.steps(), self.outputs);
         let width = columns.len().next_multiple_of(nr);
         let sizes = [2 * width * depth, 2 * width * ROWS, 2 * width];
         let mut scratch = Scratch::take_parts(sizes);
@@ -109,6 +108,7 @@ impl Product<'_> {
             let count = ROWS.min(rows.end - first);
             for block in blocks() {
                 let product = Block {
+                    pairs: self.factor.in_pairs(),
                     depth: block.len(),
                     rows: count,
                     columns: 2 * width,

@@ -5,6 +5,8 @@ use std::ops::Range;
 use candle_core::{Result, bail};
 use half::{bf16, f16};
 
+use crate::nn::cpu::simd::Pair;
+
 /// A matrix in row-major order, whose rows may be further apart than they are long.
 #[derive(Clone, Copy, Debug)]
 pub struct Matrix<'a, T = f32> {
@@ -34,6 +36,9 @@ pub enum Factor<'a> {
     TransposedF16(Matrix<'a, f16>),
     /// As [`Self::TransposedF16`].
     TransposedBf16(Matrix<'a, bf16>),
+    /// (columns, depth / 2): as [`Self::TransposedBf16`], but the first factor, the rows of which consist
+    /// of pairs, too, is rounded to bf16. Products of pairs are summed in f32.
+    Bf16Pairs(Matrix<'a, Pair<bf16>>),
 }
 
 /// Whether `rows` rows of `columns` numbers, `stride` apart, lie within `len` numbers.
@@ -86,12 +91,39 @@ impl<'a, T> Matrix<'a, T> {
         self.data.as_ptr().wrapping_add(row * self.stride)
     }
 
+    /// The same numbers, two by two.
+    ///
+    /// # Errors
+    ///
+    /// If a row does not consist of pairs.
+    pub fn pairs(&self) -> Result<Matrix<'a, Pair<T>>> {
+        let Self {
+            columns, stride, ..
+        } = *self;
+        if !columns.is_multiple_of(2) || !stride.is_multiple_of(2) {
+            bail!("rows of {columns} numbers, {stride} apart, are no pairs");
+        }
+        let pairs = self.data.as_ptr().cast::<Pair<T>>();
+        Ok(Matrix {
+            // SAFETY: a pair is an array of two numbers; as many pairs as there are whole ones.
+            data: unsafe { std::slice::from_raw_parts(pairs, self.data.len() / 2) },
+            rows: self.rows,
+            columns: columns / 2,
+            stride: stride / 2,
+        })
+    }
+
     /// The elements `(row, start)` to `(row, start + count - 1)`.
     ///
     /// # Panics
     ///
     /// If they are not inside.
-    pub(super) fn part_of_row(&self, row: usize, start: usize, count: usize) -> &'a [T] {
+    pub(in crate::nn::cpu) fn part_of_row(
+        &self,
+        row: usize,
+        start: usize,
+        count: usize,
+    ) -> &'a [T] {
         &self.data[row * self.stride..][..self.columns][start..start + count]
     }
 
@@ -107,7 +139,7 @@ impl<'a, T> Matrix<'a, T> {
     }
 
     /// `count` rows from `start` on, as far as there are any.
-    pub(super) fn rows_from(&self, start: usize, count: usize) -> Self {
+    pub(in crate::nn::cpu) fn rows_from(&self, start: usize, count: usize) -> Self {
         let start = start.min(self.rows);
         let offset = (start * self.stride).min(self.data.len());
         Self {
@@ -156,6 +188,19 @@ impl<'a> MatrixMut<'a> {
 }
 
 impl Factor<'_> {
+    /// Whether pairs are multiplied.
+    pub(super) fn in_pairs(&self) -> bool {
+        matches!(self, Self::Bf16Pairs(_))
+    }
+
+    /// How often numbers, or pairs of them, are multiplied for an element of a product.
+    pub(super) fn steps(&self) -> usize {
+        match self.in_pairs() {
+            true => self.depth() / 2,
+            false => self.depth(),
+        }
+    }
+
     /// Rows of the factor as multiplied by.
     pub fn depth(&self) -> usize {
         match self {
@@ -163,6 +208,7 @@ impl Factor<'_> {
             Self::Transposed(matrix) => matrix.columns(),
             Self::TransposedF16(matrix) => matrix.columns(),
             Self::TransposedBf16(matrix) => matrix.columns(),
+            Self::Bf16Pairs(matrix) => 2 * matrix.columns(),
         }
     }
 
@@ -173,6 +219,7 @@ impl Factor<'_> {
             Self::Transposed(matrix) => matrix.rows(),
             Self::TransposedF16(matrix) => matrix.rows(),
             Self::TransposedBf16(matrix) => matrix.rows(),
+            Self::Bf16Pairs(matrix) => matrix.rows(),
         }
     }
 }

@@ -87,7 +87,7 @@ impl Epilogue<'_> {
 ///
 /// # Errors
 ///
-/// If the shapes do not fit each other.
+/// If the shapes do not fit each other or the factor.
 pub fn gemm_serial(
     a: Matrix<'_>,
     b: &PackedFactor,
@@ -112,13 +112,19 @@ pub fn gemm_serial(
         .next_multiple_of(mr)
         .min(rows.next_multiple_of(mr));
     let mut packed = Scratch::take(most * depth);
+    let pairs = b.in_pairs().then(|| a.pairs()).transpose()?;
+    let depth = if b.in_pairs() { depth / 2 } else { depth };
     let c = c.into_pointer();
     for start in (0..rows).step_by(most) {
         let count = most.min(rows - start);
-        pack_rows(isa, a.rows_from(start, count), mr, &mut packed);
+        match pairs {
+            Some(pairs) => pack_rows(isa, pairs.rows_from(start, count), mr, &mut packed),
+            None => pack_rows(isa, a.rows_from(start, count), mr, &mut packed),
+        }
         for from in (0..depth.max(1)).step_by(DEPTH) {
             let block_depth = DEPTH.min(depth - from);
             let block = Block {
+                pairs: b.in_pairs(),
                 depth: block_depth,
                 rows: count,
                 columns,

@@ -15,8 +15,10 @@ use crate::nn::cpu::simd::{MAX_LANES, Simd, Stored};
 pub struct PackedFactor {
     isa: Isa,
     data: Scratch,
+    /// Steps of products: rows, or pairs of them.
     depth: usize,
     columns: usize,
+    pairs: bool,
 }
 
 impl PackedFactor {
@@ -30,7 +32,7 @@ impl PackedFactor {
     }
 
     pub(in crate::nn::cpu) fn pack_for(isa: Isa, factor: Factor<'_>) -> Self {
-        let (depth, columns) = (factor.depth(), factor.columns());
+        let (depth, columns) = (factor.steps(), factor.columns());
         let (_, nr) = isa.tile();
         let mut data = Scratch::own(columns.next_multiple_of(nr) * depth);
         pack_factor(isa, factor, 0..columns, 0..depth, &mut data);
@@ -39,6 +41,7 @@ impl PackedFactor {
             data,
             depth,
             columns,
+            pairs: factor.in_pairs(),
         }
     }
 
@@ -49,12 +52,21 @@ impl PackedFactor {
             data: &self.data,
             depth: self.depth,
             columns: self.columns,
+            pairs: self.pairs,
         }
     }
 
     /// Rows of the factor.
     pub fn depth(&self) -> usize {
-        self.depth
+        match self.pairs {
+            true => 2 * self.depth,
+            false => self.depth,
+        }
+    }
+
+    /// Whether pairs are multiplied.
+    pub(super) fn in_pairs(&self) -> bool {
+        self.pairs
     }
 
     /// Columns of the factor.
@@ -78,9 +90,11 @@ pub(in crate::nn::cpu) struct Packed<'a> {
     /// Panels of the tile's columns, one after the other: in each, the columns' numbers of one row
     /// after those of another.
     pub(in crate::nn::cpu) data: &'a [f32],
-    /// Rows.
+    /// Rows, or pairs of them.
     pub(in crate::nn::cpu) depth: usize,
     pub(in crate::nn::cpu) columns: usize,
+    /// Whether numbers are pairs of bf16.
+    pub(in crate::nn::cpu) pairs: bool,
 }
 
 impl<'a> Packed<'a> {
@@ -89,7 +103,7 @@ impl<'a> Packed<'a> {
     }
 }
 
-/// Packs the part of `factor` in these columns and this depth into panels of the tile's columns.
+/// Packs the part of `factor` in these columns and this depth, in steps, into panels of the tile's columns.
 ///
 /// # Panics
 ///
@@ -102,12 +116,13 @@ pub(super) fn pack_factor(
     to: &mut [f32],
 ) {
     let (_, nr) = isa.tile();
-    assert!(columns.end <= factor.columns() && depth.end <= factor.depth());
+    assert!(columns.end <= factor.columns() && depth.end <= factor.steps());
     assert!(to.len() >= columns.len().next_multiple_of(nr) * depth.len());
     match factor {
-        Factor::Transposed(matrix) => isa.run(Rows::of(&matrix, columns, depth, nr, to)),
-        Factor::TransposedF16(matrix) => isa.run(Rows::of(&matrix, columns, depth, nr, to)),
-        Factor::TransposedBf16(matrix) => isa.run(Rows::of(&matrix, columns, depth, nr, to)),
+        Factor::Transposed(matrix) => Rows::of(&matrix, columns, depth, nr, to).pack(isa),
+        Factor::TransposedF16(matrix) => Rows::of(&matrix, columns, depth, nr, to).pack(isa),
+        Factor::TransposedBf16(matrix) => Rows::of(&matrix, columns, depth, nr, to).pack(isa),
+        Factor::Bf16Pairs(matrix) => Rows::of(&matrix, columns, depth, nr, to).pack(isa),
         Factor::Plain(matrix) => {
             let panels = to.chunks_exact_mut(nr * depth.len().max(1));
             for (panel, start) in panels.zip(columns.clone().step_by(nr)) {
@@ -126,14 +141,14 @@ pub(super) fn pack_factor(
 /// # Panics
 ///
 /// If `to` is too short.
-pub(in crate::nn::cpu) fn pack_rows(isa: Isa, matrix: Matrix<'_>, width: usize, to: &mut [f32]) {
-    isa.run(Rows::of(
-        &matrix,
-        0..matrix.rows(),
-        0..matrix.columns(),
-        width,
-        to,
-    ));
+pub(in crate::nn::cpu) fn pack_rows<T: Stored>(
+    isa: Isa,
+    matrix: Matrix<'_, T>,
+    width: usize,
+    to: &mut [f32],
+) {
+    let (rows, depth) = (matrix.rows(), matrix.columns());
+    Rows::of(&matrix, 0..rows, 0..depth, width, to).pack(isa);
 }
 
 /// Rows of numbers, which can be read, to be packed.
@@ -146,7 +161,7 @@ struct Rows<'a, T> {
     to: &'a mut [f32],
 }
 
-impl<'a, T> Rows<'a, T> {
+impl<'a, T: Stored> Rows<'a, T> {
     /// The part of `matrix` in these rows and this depth.
     fn of(
         matrix: &Matrix<'_, T>,
@@ -162,6 +177,13 @@ impl<'a, T> Rows<'a, T> {
             depth: depth.len(),
             width,
             to,
+        }
+    }
+
+    fn pack(self, isa: Isa) {
+        match T::PAIRS {
+            true => isa.run_pairs(self),
+            false => isa.run(self),
         }
     }
 }

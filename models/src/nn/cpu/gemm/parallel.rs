@@ -11,6 +11,7 @@ use super::{DEPTH, Epilogue, Factor, Matrix, MatrixMut};
 use crate::nn::cpu::Isa;
 use crate::nn::cpu::scratch::Scratch;
 use crate::nn::cpu::shared::Shared;
+use crate::nn::cpu::simd::Stored;
 
 /// Numbers of `A` that are packed at a time: 32 MiB.
 const PACKED: usize = 8 << 20;
@@ -47,7 +48,7 @@ pub fn gemm(a: Matrix<'_>, b: Factor<'_>, c: MatrixMut<'_>, epilogue: &Epilogue<
 ///
 /// # Errors
 ///
-/// If the shapes do not fit each other. Nothing is written then, otherwise every element.
+/// If the shapes do not fit each other or the factor. Nothing is written then, otherwise every element.
 ///
 /// # Safety
 ///
@@ -66,7 +67,7 @@ pub(in crate::nn::cpu) unsafe fn gemm_into(
         bail!("{rows} x {depth} times {} x {columns}", b.depth());
     }
     epilogue.check(rows, columns)?;
-    with_packed_rows(isa, a, |start, count, packed| {
+    with_packed_rows(isa, a, b.in_pairs(), |start, count, packed| {
         let product = Product {
             isa,
             a: packed,
@@ -82,15 +83,31 @@ pub(in crate::nn::cpu) unsafe fn gemm_into(
         share(isa, count, columns, GROUP, |rows, columns| {
             product.part(rows, columns);
         });
-    });
-    Ok(())
+    })
 }
 
-/// Packs `a`, as many rows at a time as memory is spent on, on all threads; `then` gets the first row,
-/// how many they are, and their panels.
+/// Packs `a`, its numbers or pairs of them rounded to bf16, as many rows at a time as memory is spent on, on
+/// all threads; `then` gets the first row, how many they are, and their panels.
+///
+/// # Errors
+///
+/// If rows do not consist of pairs, if these are wanted. Nothing is done then.
 pub(super) fn with_packed_rows(
     isa: Isa,
     a: Matrix<'_>,
+    pairs: bool,
+    then: impl FnMut(usize, usize, Panels<'_>),
+) -> Result<()> {
+    match pairs {
+        true => pack_all_rows(isa, a.pairs()?, then),
+        false => pack_all_rows(isa, a, then),
+    }
+    Ok(())
+}
+
+fn pack_all_rows<T: Stored>(
+    isa: Isa,
+    a: Matrix<'_, T>,
     mut then: impl FnMut(usize, usize, Panels<'_>),
 ) {
     let (rows, depth) = (a.rows(), a.columns());
@@ -155,13 +172,14 @@ impl Product<'_> {
     /// What one task does.
     fn part(&self, rows: Range<usize>, columns: Range<usize>) {
         let (mr, nr) = self.isa.tile();
-        let depth = self.b.depth();
+        let depth = self.b.steps();
         let mut packed = Scratch::take(columns.len().next_multiple_of(nr) * DEPTH.min(depth));
         for from in (0..depth.max(1)).step_by(DEPTH) {
             let to = (from + DEPTH).min(depth);
             pack_factor(self.isa, self.b, columns.clone(), from..to, &mut packed);
             let residual = self.epilogue.residual;
             let block = Block {
+                pairs: self.b.in_pairs(),
                 depth: to - from,
                 rows: rows.len(),
                 columns: columns.len(),

@@ -156,15 +156,28 @@ impl Scattered<'_> {
     /// which together are the depth of `B`. Rows of `C` can be written, and the residual read, in the
     /// columns of the panels, and nobody else does. The bias has all columns of `B`.
     pub(in crate::nn::cpu) unsafe fn run(self) {
-        self.b.isa.run(self);
+        match self.b.pairs {
+            true => self.b.isa.run_pairs(Of::<true>(self)),
+            false => self.b.isa.run(Of::<false>(self)),
+        }
     }
 }
 
-impl Task for Scattered<'_> {
+/// A product of numbers, or of pairs.
+struct Of<'a, const PAIRS: bool>(Scattered<'a>);
+
+impl<const PAIRS: bool> Task for Of<'_, PAIRS> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
+        self.0.compute::<S, PAIRS>(simd);
+    }
+}
+
+impl Scattered<'_> {
+    #[inline(always)]
+    fn compute<S: Simd, const PAIRS: bool>(self, simd: S) {
         #[repr(align(64))]
         struct Tile([f32; MAX_TILE]);
         let mut tile = Tile([0.0; MAX_TILE]);
@@ -213,12 +226,12 @@ impl Task for Scattered<'_> {
                         let to = start.wrapping_add(column);
                         // SAFETY: by the contract of `Scattered::run`, all of a tile's rows and columns can be
                         // written there.
-                        unsafe { simd.tile_of_pieces(pieces, columns, a, b, to, stride) };
+                        unsafe { simd.tile_of_pieces::<PAIRS>(pieces, columns, a, b, to, stride) };
                         continue;
                     }
                     let to = tile.0.as_mut_ptr();
                     // SAFETY: by the contract of `Scattered::run`.
-                    unsafe { simd.tile_of_pieces(pieces, columns, a, b, to, S::NR) };
+                    unsafe { simd.tile_of_pieces::<PAIRS>(pieces, columns, a, b, to, S::NR) };
                     let to = |i: usize| c[i].wrapping_add(column);
                     let residual = (self.residual)
                         .map(|all| move |i: usize| all[row + i].wrapping_add(column));

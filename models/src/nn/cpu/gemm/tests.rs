@@ -1,3 +1,4 @@
+use half::bf16;
 use proptest::prelude::*;
 
 use super::*;
@@ -22,7 +23,10 @@ struct Case {
     columns: usize,
     depth: usize,
     extra: usize,
+    /// Whether the second factor's transpose is given.
     transposed: bool,
+    /// Whether both factors are rounded to bf16; sizes are then even, the second factor is transposed.
+    pairs: bool,
     accumulate: bool,
     bias: bool,
     activation: Activation,
@@ -43,15 +47,24 @@ fn cases() -> impl Strategy<Value = Case> {
         Activation::Selu,
         Activation::Silu,
     ]);
-    let flags = any::<[bool; 4]>();
+    let flags = any::<[bool; 5]>();
     (size(), size(), depth, 0_usize..3, flags, activation).prop_map(
-        |(rows, columns, depth, extra, [transposed, accumulate, bias, residual], activation)| {
+        |(
+            rows,
+            columns,
+            depth,
+            extra,
+            [transposed, pairs, accumulate, bias, residual],
+            activation,
+        )| {
+            let even = |size: usize| size << usize::from(pairs);
             Case {
                 rows,
                 columns,
-                depth,
-                extra,
-                transposed,
+                depth: even(depth),
+                extra: even(extra),
+                transposed: transposed || pairs,
+                pairs,
                 accumulate,
                 bias,
                 activation,
@@ -90,11 +103,22 @@ fn check(isa: Isa, case: &Case) -> std::result::Result<(), TestCaseError> {
         false => (depth, columns),
     };
     let array = |rows: usize, columns: usize, seed| noise(rows * (columns + extra), seed);
-    let (a, b) = (array(rows, depth, 1), array(b_rows, b_columns, 2));
+    let (mut a, mut b) = (array(rows, depth, 1), array(b_rows, b_columns, 2));
+    let halves: Vec<bf16> = b.iter().map(|&x| bf16::from_f32(x)).collect();
+    let a_given = a.clone();
+    if case.pairs {
+        for x in a.iter_mut().chain(&mut b) {
+            *x = bf16::from_f32(*x).to_f32();
+        }
+    }
     let (old, residual) = (array(rows, columns, 3), array(rows, columns, 4));
     let bias = noise(columns, 5);
     let matrix = |data, rows, columns| Matrix::new(data, rows, columns, columns + extra).unwrap();
     let factor = match case.transposed {
+        true if case.pairs => {
+            let halves = Matrix::new(&halves, b_rows, b_columns, b_columns + extra).unwrap();
+            Factor::Bf16Pairs(halves.pairs().unwrap())
+        }
         true => Factor::Transposed(matrix(&b, b_rows, b_columns)),
         false => Factor::Plain(matrix(&b, b_rows, b_columns)),
     };
@@ -104,7 +128,7 @@ fn check(isa: Isa, case: &Case) -> std::result::Result<(), TestCaseError> {
         activation: case.activation,
         residual: case.residual.then(|| matrix(&residual, rows, columns)),
     };
-    let a_matrix = matrix(&a, rows, depth);
+    let a_matrix = matrix(&a_given, rows, depth);
     let (mut serial, mut parallel) = (old.clone(), old.clone());
     let c = MatrixMut::new(&mut serial, rows, columns, columns + extra).unwrap();
     gemm_serial(a_matrix, &PackedFactor::pack_for(isa, factor), c, &epilogue).unwrap();

@@ -31,6 +31,24 @@ fn first(count: usize) -> __m256i {
 
 type V = __m256;
 
+/// Bits whose upper halves are bf16: to the nearest number, halves to the even one; NaN stays NaN.
+///
+/// # Safety
+///
+/// The CPU has AVX2.
+#[inline(always)]
+unsafe fn rounded(x: V) -> __m256i {
+    // SAFETY: as the caller promises.
+    unsafe {
+        let bits = _mm256_castps_si256(x);
+        let last = _mm256_and_si256(_mm256_srli_epi32::<16>(bits), _mm256_set1_epi32(1));
+        let up = _mm256_add_epi32(last, _mm256_set1_epi32(0x7fff));
+        let quiet = _mm256_or_si256(bits, _mm256_set1_epi32(0x0040_0000));
+        let nan = _mm256_castps_si256(_mm256_cmp_ps::<_CMP_UNORD_Q>(x, x));
+        _mm256_blendv_epi8(_mm256_add_epi32(bits, up), quiet, nan)
+    }
+}
+
 /// Functions that are one instruction.
 macro_rules! as_intrinsics {
     ($($name:ident($($argument:ident: $kind:ty),*) = $intrinsic:ident;)*) => {$(
@@ -100,6 +118,39 @@ impl Simd for Avx2 {
     fn if_less(self, a: V, b: V, then: V, otherwise: V) -> V {
         // SAFETY: `self` is proof of the instructions.
         unsafe { _mm256_blendv_ps(otherwise, then, _mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) }
+    }
+
+    #[inline(always)]
+    fn round_pair(self, even: V, odd: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
+        unsafe {
+            let (even, odd) = (rounded(even), rounded(odd));
+            let even = _mm256_srli_epi32::<16>(even);
+            _mm256_castsi256_ps(_mm256_blend_epi16::<0xaa>(even, odd))
+        }
+    }
+
+    #[inline(always)]
+    fn round_pairs(self, first: V, second: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
+        unsafe {
+            let even = _mm256_shuffle_ps::<0x88>(first, second);
+            let odd = _mm256_shuffle_ps::<0xdd>(first, second);
+            // The quarters are those of first, second, first, second.
+            let pairs = _mm256_castps_pd(self.round_pair(even, odd));
+            _mm256_castpd_ps(_mm256_permute4x64_pd::<0xd8>(pairs))
+        }
+    }
+
+    #[inline(always)]
+    fn dot_pairs(self, a: V, b: V, c: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
+        unsafe {
+            let even = |x| _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_castps_si256(x)));
+            let upper = _mm256_castsi256_ps(_mm256_set1_epi32(0xffff_0000_u32 as i32));
+            let odd = |x| _mm256_and_ps(x, upper);
+            _mm256_fmadd_ps(even(a), even(b), _mm256_fmadd_ps(odd(a), odd(b), c))
+        }
     }
 
     #[inline(always)]
@@ -195,7 +246,7 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    unsafe fn tile(
+    unsafe fn tile<const PAIRS: bool>(
         self,
         depth: usize,
         columns: usize,
@@ -207,14 +258,14 @@ impl Simd for Avx2 {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe {
             match columns <= Self::LANES {
-                true => tile::<Self, 6, 1>(self, depth, a, b, out, stride),
-                false => tile::<Self, 6, 2>(self, depth, a, b, out, stride),
+                true => tile::<Self, 6, 1, PAIRS>(self, depth, a, b, out, stride),
+                false => tile::<Self, 6, 2, PAIRS>(self, depth, a, b, out, stride),
             }
         }
     }
 
     #[inline(always)]
-    unsafe fn tile_of_pieces(
+    unsafe fn tile_of_pieces<const PAIRS: bool>(
         self,
         pieces: &[Piece],
         columns: usize,
@@ -226,8 +277,8 @@ impl Simd for Avx2 {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe {
             match columns <= Self::LANES {
-                true => tile_of_pieces::<Self, 6, 1>(self, pieces, a, b, out, stride),
-                false => tile_of_pieces::<Self, 6, 2>(self, pieces, a, b, out, stride),
+                true => tile_of_pieces::<Self, 6, 1, PAIRS>(self, pieces, a, b, out, stride),
+                false => tile_of_pieces::<Self, 6, 2, PAIRS>(self, pieces, a, b, out, stride),
             }
         }
     }

@@ -6,14 +6,14 @@ use half::{bf16, f16};
 
 use super::{MAX_LANES, Piece, Simd, tile, tile_of_pieces};
 
-/// Proof that the CPU has AVX-512 F and DQ.
+/// Proof that the CPU has AVX-512 F and DQ, and if `BF16`, also BW and BF16.
 #[derive(Clone, Copy)]
-pub(in crate::nn::cpu) struct Avx512(());
+pub(in crate::nn::cpu) struct Avx512<const BF16: bool>(());
 
-impl Avx512 {
+impl<const BF16: bool> Avx512<BF16> {
     /// # Safety
     ///
-    /// The CPU has AVX-512 F and DQ.
+    /// The CPU has what this is the proof of.
     #[inline(always)]
     pub(in crate::nn::cpu) unsafe fn assume() -> Self {
         Self(())
@@ -27,6 +27,24 @@ fn first(count: usize) -> __mmask16 {
 
 type V = __m512;
 
+/// Bits whose upper halves are bf16: to the nearest number, halves to the even one; NaN stays NaN.
+///
+/// # Safety
+///
+/// The CPU has AVX-512 F.
+#[inline(always)]
+unsafe fn rounded(x: V) -> __m512i {
+    // SAFETY: as the caller promises.
+    unsafe {
+        let bits = _mm512_castps_si512(x);
+        let last = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
+        let up = _mm512_add_epi32(last, _mm512_set1_epi32(0x7fff));
+        let quiet = _mm512_or_si512(bits, _mm512_set1_epi32(0x0040_0000));
+        let nan = _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(x, x);
+        _mm512_mask_blend_epi32(nan, _mm512_add_epi32(bits, up), quiet)
+    }
+}
+
 /// Functions that are one instruction.
 macro_rules! as_intrinsics {
     ($($name:ident($($argument:ident: $kind:ty),*) = $intrinsic:ident;)*) => {$(
@@ -38,7 +56,7 @@ macro_rules! as_intrinsics {
     )*};
 }
 
-impl Simd for Avx512 {
+impl<const BF16: bool> Simd for Avx512<BF16> {
     type V = V;
 
     const LANES: usize = 16;
@@ -74,6 +92,55 @@ impl Simd for Avx512 {
     fn if_less(self, a: V, b: V, then: V, otherwise: V) -> V {
         // SAFETY: `self` is proof of the instructions.
         unsafe { _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b), otherwise, then) }
+    }
+
+    #[inline(always)]
+    fn round_pair(self, even: V, odd: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
+        unsafe {
+            let (even, odd) = match BF16 {
+                true => {
+                    let widened = |half| _mm512_cvtepu16_epi32(std::mem::transmute(half));
+                    let [even, odd] = [even, odd].map(|x| widened(_mm512_cvtneps_pbh(x)));
+                    (even, _mm512_slli_epi32::<16>(odd))
+                }
+                false => {
+                    let upper = _mm512_set1_epi32(0xffff_0000_u32 as i32);
+                    let odd = _mm512_and_si512(rounded(odd), upper);
+                    (_mm512_srli_epi32::<16>(rounded(even)), odd)
+                }
+            };
+            _mm512_castsi512_ps(_mm512_or_si512(even, odd))
+        }
+    }
+
+    #[inline(always)]
+    fn round_pairs(self, first: V, second: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
+        unsafe {
+            if BF16 {
+                return std::mem::transmute::<__m512bh, V>(_mm512_cvtne2ps_pbh(second, first));
+            }
+            let at = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+            let next = _mm512_add_epi32(at, _mm512_set1_epi32(1));
+            let even = _mm512_permutex2var_ps(first, at, second);
+            self.round_pair(even, _mm512_permutex2var_ps(first, next, second))
+        }
+    }
+
+    #[inline(always)]
+    fn dot_pairs(self, a: V, b: V, c: V) -> V {
+        // SAFETY: `self` is proof of the instructions.
+        unsafe {
+            if BF16 {
+                let bits = |x| std::mem::transmute::<V, __m512bh>(x);
+                return _mm512_dpbf16_ps(c, bits(a), bits(b));
+            }
+            let even = |x| _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_castps_si512(x)));
+            let upper = _mm512_castsi512_ps(_mm512_set1_epi32(0xffff_0000_u32 as i32));
+            let odd = |x| _mm512_and_ps(x, upper);
+            _mm512_fmadd_ps(even(a), even(b), _mm512_fmadd_ps(odd(a), odd(b), c))
+        }
     }
 
     #[inline(always)]
@@ -175,7 +242,7 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    unsafe fn tile(
+    unsafe fn tile<const PAIRS: bool>(
         self,
         depth: usize,
         columns: usize,
@@ -187,14 +254,14 @@ impl Simd for Avx512 {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe {
             match columns <= Self::LANES {
-                true => tile::<Self, 14, 1>(self, depth, a, b, out, stride),
-                false => tile::<Self, 14, 2>(self, depth, a, b, out, stride),
+                true => tile::<Self, 14, 1, PAIRS>(self, depth, a, b, out, stride),
+                false => tile::<Self, 14, 2, PAIRS>(self, depth, a, b, out, stride),
             }
         }
     }
 
     #[inline(always)]
-    unsafe fn tile_of_pieces(
+    unsafe fn tile_of_pieces<const PAIRS: bool>(
         self,
         pieces: &[Piece],
         columns: usize,
@@ -206,8 +273,8 @@ impl Simd for Avx512 {
         // SAFETY: `self` is proof of the instructions; memory as the caller promises.
         unsafe {
             match columns <= Self::LANES {
-                true => tile_of_pieces::<Self, 14, 1>(self, pieces, a, b, out, stride),
-                false => tile_of_pieces::<Self, 14, 2>(self, pieces, a, b, out, stride),
+                true => tile_of_pieces::<Self, 14, 1, PAIRS>(self, pieces, a, b, out, stride),
+                false => tile_of_pieces::<Self, 14, 2, PAIRS>(self, pieces, a, b, out, stride),
             }
         }
     }

@@ -32,10 +32,13 @@ pub(super) struct Piece {
     pub(super) length: usize,
 }
 
-/// How numbers lie in memory that become vectors of f32.
+/// How numbers, or pairs of them, lie in memory that become the lanes of vectors.
 pub(in crate::nn::cpu) trait Stored:
     Copy + Default + Send + Sync + 'static
 {
+    /// Whether a lane becomes a pair of bf16.
+    const PAIRS: bool = false;
+
     /// # Safety
     ///
     /// [`Simd::LANES`] numbers can be read at `from`.
@@ -60,6 +63,11 @@ pub(in crate::nn::cpu) trait Stored:
         }
     }
 }
+
+/// Two numbers side by side. Products of bf16 take them in pairs, both in the bits of one number of f32.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
+pub struct Pair<T>([T; 2]);
 
 impl Stored for f32 {
     #[inline(always)]
@@ -88,6 +96,28 @@ impl Stored for bf16 {
     unsafe fn load<S: Simd>(simd: S, from: *const Self) -> S::V {
         // SAFETY: as the caller promises.
         unsafe { simd.load_bf16(from) }
+    }
+}
+
+impl Stored for Pair<f32> {
+    const PAIRS: bool = true;
+
+    #[inline(always)]
+    unsafe fn load<S: Simd>(simd: S, from: *const Self) -> S::V {
+        let from = from.cast::<f32>();
+        // SAFETY: as many pairs are twice as many numbers.
+        let [first, second] = unsafe { [simd.load(from), simd.load(from.add(S::LANES))] };
+        simd.round_pairs(first, second)
+    }
+}
+
+impl Stored for Pair<bf16> {
+    const PAIRS: bool = true;
+
+    #[inline(always)]
+    unsafe fn load<S: Simd>(simd: S, from: *const Self) -> S::V {
+        // SAFETY: as the caller promises; a pair is as large as a lane.
+        unsafe { simd.load(from.cast()) }
     }
 }
 
@@ -129,6 +159,13 @@ pub(super) trait Simd: Copy {
     }
     /// `then` where `a < b`, `otherwise` elsewhere.
     fn if_less(self, a: Self::V, b: Self::V, then: Self::V, otherwise: Self::V) -> Self::V;
+    /// Pairs of bf16, as bits: in each lane, `even` rounded and then `odd` rounded, to the nearest number,
+    /// halves to the even one.
+    fn round_pair(self, even: Self::V, odd: Self::V) -> Self::V;
+    /// Pairs of bf16 of neighbours: of the lanes of `first`, then of those of `second`.
+    fn round_pairs(self, first: Self::V, second: Self::V) -> Self::V;
+    /// `c` plus both products of the pairs in `a` and `b`, lane by lane, summed in f32.
+    fn dot_pairs(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// The sum of all lanes, in an order that is always the same.
     fn sum(self, a: Self::V) -> f32;
     /// The greatest of all lanes.
@@ -178,10 +215,13 @@ pub(super) trait Simd: Copy {
     /// numbers, those of `b` [`Self::NR`], and those of `out` are `stride` apart. Products are added in the
     /// order of `p`. Of the columns, the first `columns` (at least) are computed, up to [`Self::NR`].
     ///
+    /// With `PAIRS`, a number of `a` or `b` is the bits of two numbers of bf16, both of whose products are
+    /// added.
+    ///
     /// # Safety
     ///
     /// `a` and `b` can be read and `out` written to those sizes.
-    unsafe fn tile(
+    unsafe fn tile<const PAIRS: bool>(
         self,
         depth: usize,
         columns: usize,
@@ -197,7 +237,7 @@ pub(super) trait Simd: Copy {
     /// # Safety
     ///
     /// `a` and the pieces can be read, `b` and `out` are as for [`Self::tile`].
-    unsafe fn tile_of_pieces(
+    unsafe fn tile_of_pieces<const PAIRS: bool>(
         self,
         pieces: &[Piece],
         columns: usize,
@@ -273,13 +313,22 @@ pub(super) trait Simd: Copy {
     }
 }
 
+/// `a b + c`, of numbers or of pairs of them.
+#[inline(always)]
+fn multiply_add<S: Simd, const PAIRS: bool>(simd: S, a: S::V, b: S::V, c: S::V) -> S::V {
+    match PAIRS {
+        true => simd.dot_pairs(a, b, c),
+        false => simd.fma(a, b, c),
+    }
+}
+
 /// [`Simd::tile`] for the first `NV` vectors of the columns: the sums are `MR * NV` registers.
 ///
 /// # Safety
 ///
 /// As for [`Simd::tile`].
 #[inline(always)]
-unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
+unsafe fn tile<S: Simd, const MR: usize, const NV: usize, const PAIRS: bool>(
     simd: S,
     depth: usize,
     mut a: *const f32,
@@ -298,7 +347,7 @@ unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
             // SAFETY: the caller lets `depth * MR` numbers be read at `a`.
             let factor = simd.splat(unsafe { *a.add(i) });
             for (sum, &column) in row.iter_mut().zip(&columns) {
-                *sum = simd.fma(factor, column, *sum);
+                *sum = multiply_add::<S, PAIRS>(simd, factor, column, *sum);
             }
         }
         // SAFETY: at most one past the end, after the last step.
@@ -318,7 +367,7 @@ unsafe fn tile<S: Simd, const MR: usize, const NV: usize>(
 ///
 /// As for [`Simd::tile_of_pieces`].
 #[inline(always)]
-unsafe fn tile_of_pieces<S: Simd, const MR: usize, const NV: usize>(
+unsafe fn tile_of_pieces<S: Simd, const MR: usize, const NV: usize, const PAIRS: bool>(
     simd: S,
     pieces: &[Piece],
     a: *const *const f32,
@@ -337,13 +386,13 @@ unsafe fn tile_of_pieces<S: Simd, const MR: usize, const NV: usize>(
         while p + 4 <= piece.length {
             for i in 0..4 {
                 // SAFETY: the caller lets the piece be read, and `b` to the depth of all pieces.
-                b = unsafe { step(simd, &mut sums, &rows, p + i, b) };
+                b = unsafe { step::<S, MR, NV, PAIRS>(simd, &mut sums, &rows, p + i, b) };
             }
             p += 4;
         }
         while p < piece.length {
             // SAFETY: as above.
-            b = unsafe { step(simd, &mut sums, &rows, p, b) };
+            b = unsafe { step::<S, MR, NV, PAIRS>(simd, &mut sums, &rows, p, b) };
             p += 1;
         }
     }
@@ -361,7 +410,7 @@ unsafe fn tile_of_pieces<S: Simd, const MR: usize, const NV: usize>(
 ///
 /// These can be read.
 #[inline(always)]
-unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
+unsafe fn step<S: Simd, const MR: usize, const NV: usize, const PAIRS: bool>(
     simd: S,
     sums: &mut [[S::V; NV]; MR],
     rows: &[*const f32; MR],
@@ -377,7 +426,7 @@ unsafe fn step<S: Simd, const MR: usize, const NV: usize>(
         // SAFETY: as the caller promises.
         let factor = simd.splat(unsafe { *row.add(p) });
         for (sum, &column) in sums.iter_mut().zip(&columns) {
-            *sum = simd.fma(factor, column, *sum);
+            *sum = multiply_add::<S, PAIRS>(simd, factor, column, *sum);
         }
     }
     // Past the end after the last step.

@@ -17,6 +17,13 @@ fn zip(a: V, b: V, of: impl Fn(f32, f32) -> f32) -> V {
     from_fn(|i| of(a[i], b[i]))
 }
 
+/// The bits of both, rounded to bf16.
+#[inline(always)]
+fn pair(even: f32, odd: f32) -> f32 {
+    let bits = |x: f32| u32::from(bf16::from_f32(x).to_bits());
+    f32::from_bits(bits(even) | bits(odd) << 16)
+}
+
 impl Simd for Portable {
     type V = V;
 
@@ -106,6 +113,26 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
+    fn round_pair(self, even: V, odd: V) -> V {
+        zip(even, odd, pair)
+    }
+
+    #[inline(always)]
+    fn round_pairs(self, first: V, second: V) -> V {
+        from_fn(|i| match 2 * i < 8 {
+            true => pair(first[2 * i], first[2 * i + 1]),
+            false => pair(second[2 * i - 8], second[2 * i - 7]),
+        })
+    }
+
+    #[inline(always)]
+    fn dot_pairs(self, a: V, b: V, c: V) -> V {
+        let even = |x: f32| f32::from_bits(x.to_bits() << 16);
+        let odd = |x: f32| f32::from_bits(x.to_bits() & 0xffff_0000);
+        from_fn(|i| even(a[i]) * even(b[i]) + (odd(a[i]) * odd(b[i]) + c[i]))
+    }
+
+    #[inline(always)]
     fn sum(self, a: V) -> f32 {
         ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]))
     }
@@ -171,7 +198,7 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    unsafe fn tile(
+    unsafe fn tile<const PAIRS: bool>(
         self,
         depth: usize,
         _columns: usize,
@@ -181,11 +208,11 @@ impl Simd for Portable {
         stride: usize,
     ) {
         // SAFETY: as the caller promises.
-        unsafe { tile::<Self, 4, 1>(self, depth, a, b, out, stride) }
+        unsafe { tile::<Self, 4, 1, PAIRS>(self, depth, a, b, out, stride) }
     }
 
     #[inline(always)]
-    unsafe fn tile_of_pieces(
+    unsafe fn tile_of_pieces<const PAIRS: bool>(
         self,
         pieces: &[Piece],
         _columns: usize,
@@ -195,6 +222,6 @@ impl Simd for Portable {
         stride: usize,
     ) {
         // SAFETY: as the caller promises.
-        unsafe { tile_of_pieces::<Self, 4, 1>(self, pieces, a, b, out, stride) }
+        unsafe { tile_of_pieces::<Self, 4, 1, PAIRS>(self, pieces, a, b, out, stride) }
     }
 }

@@ -80,6 +80,12 @@ impl Winograd {
         self.weight.shape()[1]
     }
 
+    pub(super) fn multiply_adds(&self, images: Images, times: usize) -> usize {
+        let (scheme, _) = self.scheme(images, times);
+        let tiles = Tile::count(images, scheme.outputs);
+        points(*scheme, times) * tiles * self.inputs() * self.outputs()
+    }
+
     /// See [`super::Convolution::run`].
     ///
     /// # Safety
@@ -153,15 +159,19 @@ impl Winograd {
         const FILTERS: usize = 5;
         let one = Images { batch: 1, ..images };
         let cost = |(scheme, _): &&(Scheme, Transform)| {
-            let n = scheme.products();
-            let points = match *scheme == Scheme::F23 && times == 2 {
-                true => (n - 1) * (n - 1),
-                false => n * n,
-            };
-            points * (Tile::count(one, scheme.outputs) + FILTERS)
+            points(*scheme, times) * (Tile::count(one, scheme.outputs) + FILTERS)
         };
         let best = self.schemes.iter().min_by_key(cost);
         best.unwrap_or(&self.schemes[0])
+    }
+}
+
+/// The points at which there are products, if each pixel stands for a square of `times`.
+fn points(scheme: Scheme, times: usize) -> usize {
+    let n = scheme.products();
+    match scheme == Scheme::F23 && times == 2 {
+        true => (n - 1) * (n - 1),
+        false => n * n,
     }
 }
 
@@ -293,6 +303,7 @@ impl<T: Stored> Layer<'_, T> {
                 data: &filters[point * filters_plane..],
                 depth: inputs.len(),
                 columns: outputs.len(),
+                pairs: false,
             };
             for point in (0..N * N).filter(|&point| !skipped(point)) {
                 let start = products[point * plane..].as_mut_ptr();
