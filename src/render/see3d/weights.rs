@@ -9,7 +9,7 @@ use crate::{
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tid3r_models::{
-    Footprint,
+    ComputeType, Footprint,
     see3d::{
         clip::{TextEncoder, VisionEncoder},
         denoise::Conditions,
@@ -39,6 +39,8 @@ pub struct See3dWeights {
     vae: Found,
     image_encoder: Found,
     text_encoder: Found,
+    /// What the networks compute with.
+    compute_type: ComputeType,
     /// The folder of made-up ones, which goes when they do.
     _made_up: Option<TempDir>,
 }
@@ -84,6 +86,7 @@ impl See3dWeights {
             vae,
             image_encoder,
             text_encoder,
+            compute_type: params.dtype,
             _made_up: None,
         };
         found.check()?;
@@ -201,31 +204,31 @@ impl See3dWeights {
 
     /// What the network's weights take that denoises frames with so many photos among them.
     pub(super) fn unet_footprint(&self, stage: Stage, photos: usize) -> Result<Footprint> {
-        weights::footprint(self.unet_of(stage, photos)?)
+        weights::footprint(self.unet_of(stage, photos)?, self.compute_type)
     }
 
     pub(super) fn vae_footprint(&self) -> Result<Footprint> {
-        weights::footprint(&self.vae)
+        weights::footprint(&self.vae, self.compute_type)
     }
 
     pub(super) fn image_encoder_footprint(&self) -> Result<Footprint> {
-        weights::footprint(&self.image_encoder)
+        weights::footprint(&self.image_encoder, self.compute_type)
     }
 
     pub(super) fn text_encoder_footprint(&self) -> Result<Footprint> {
-        weights::footprint(&self.text_encoder)
+        weights::footprint(&self.text_encoder, self.compute_type)
     }
 
     pub(super) fn unet(&self, stage: Stage, photos: usize) -> Result<Unet> {
         let found = self.unet_of(stage, photos)?;
-        network(found, |config, weights| match config {
+        network(found, self.compute_type, |config, weights| match config {
             Config::Unet(config) => Some(Unet::with_precision(&config.unet, PRECISION, weights)),
             _ => None,
         })
     }
 
     pub(super) fn encoder(&self, tiling: Tiling) -> Result<Encoder> {
-        let weights = weights::open(&self.vae)?;
+        let weights = weights::open(&self.vae, self.compute_type)?;
         let encoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Encoder::new(config, weights)),
             _ => None,
@@ -234,7 +237,7 @@ impl See3dWeights {
     }
 
     pub(super) fn decoder(&self, tiling: Tiling) -> Result<Decoder> {
-        let weights = weights::open(&self.vae)?;
+        let weights = weights::open(&self.vae, self.compute_type)?;
         let decoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Decoder::new(config, weights)),
             _ => None,
@@ -243,17 +246,25 @@ impl See3dWeights {
     }
 
     pub(super) fn image_encoder(&self) -> Result<VisionEncoder> {
-        network(&self.image_encoder, |config, weights| match config {
-            Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
-            _ => None,
-        })
+        network(
+            &self.image_encoder,
+            self.compute_type,
+            |config, weights| match config {
+                Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
+                _ => None,
+            },
+        )
     }
 
     pub(super) fn text_encoder(&self) -> Result<TextEncoder> {
-        network(&self.text_encoder, |config, weights| match config {
-            Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
-            _ => None,
-        })
+        network(
+            &self.text_encoder,
+            self.compute_type,
+            |config, weights| match config {
+                Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
+                _ => None,
+            },
+        )
     }
 
     /// How the image encoder wants pictures.

@@ -61,9 +61,9 @@ impl MobileSam {
     /// When weights are damaged, lack a tensor, or have one too many.
     pub fn new(weights: &MobileSamWeights, params: MobileSamParams) -> Result<Self> {
         Ok(Self {
-            networks: weights.networks()?,
+            networks: weights.networks(params.dtype)?,
+            footprints: weights.footprints(params.dtype)?,
             params,
-            footprints: weights.footprints()?,
             description: weights.description(),
         })
     }
