@@ -4,8 +4,10 @@ Each round runs both for every load (numbers of photos, of boxes, of frames), on
 take turns in which goes first. Every run is a process of its own: one forward pass that is not timed, one
 that is. The table gives medians over the rounds of the seconds, and the most memory that a process of either
 had resident (for PyTorch from its start, libraries and construction included; for tid3r from when its
-weights stand in memory). Weights are random, of full size, and so are the inputs, in single precision:
-speed depends on neither. MV-DUSt3R(+) sees pictures of 224x224, MobileSAMv2 of 1024x1024. See3D's UNet denoises
+weights are open). Weights are random, of full size, and so are the inputs: speed depends on neither.
+The original computes in single precision, tid3r in what --dtype says. tid3r has its weights from a file, as its
+users do: that of --weights, or one that is made up first (in a folder that goes afterwards, unless --cache names
+one), in f32 or bf16 like the numbers that it computes with. MV-DUSt3R(+) sees pictures of 224x224, MobileSAMv2 of 1024x1024. See3D's UNet denoises
 one group of frames of 256x256 (32x32 latents), its VAE decodes 256x256, its CLIPs see one picture and one text.
 
 Figures count on an idle machine only: other work slows the two sides by different factors. On Linux the
@@ -45,6 +47,7 @@ import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 import types
 from collections.abc import Callable
@@ -368,6 +371,16 @@ def output_of(command: list[str], environment: dict[str, str] | None = None) -> 
     return done.stdout
 
 
+def made_up_weights(args: argparse.Namespace, parent: Path) -> Path:
+    """The folder of made-up weights of the network below `parent`; they are made if they are not there."""
+    folder = parent / f"{args.model}-{args.dtype}"
+    if not (folder / "config.json").is_file():
+        print(f"making up weights in {folder}", file=sys.stderr, flush=True)
+        command = [str(args.tid3r), "weights", "synthesize", args.model, "--quiet"]
+        output_of([*command, "--dtype", args.dtype, "--output", str(folder)])
+    return folder
+
+
 def run_original(args: argparse.Namespace, load: int) -> tuple[float, int | None, str]:
     """Seconds, peak memory and version of the original, in a process of its own."""
     command = [sys.executable, "-W", "ignore", __file__, "--original-alone"]
@@ -387,6 +400,7 @@ def run_tid3r(args: argparse.Namespace, load: int) -> tuple[float, int | None]:
     if args.model in ("see3d-sparse", "see3d-vae"):
         command += ["--size", "256"]
     command += ["--threads", str(args.threads), "--runs", "1", "--json", "--quiet"]
+    command += ["--dtype", args.dtype, "--weights", str(args.weights)]
     if args.all_outputs:
         command += ["--gaussians", "--all-paths"]
     # Of See3D's VAE, which has two rows, the original decodes.
@@ -395,6 +409,14 @@ def run_tid3r(args: argparse.Namespace, load: int) -> tuple[float, int | None]:
 
 
 def compare(args: argparse.Namespace) -> None:
+    """Runs all rounds, and prints the table; with made-up weights unless there are others."""
+    with tempfile.TemporaryDirectory() as temporary:
+        if args.weights is None:
+            args.weights = made_up_weights(args, args.cache or Path(temporary))
+        measure(args)
+
+
+def measure(args: argparse.Namespace) -> None:
     """Runs all rounds, and prints the table."""
     unit = MODELS[args.model][0] or "picture"
     original = {load: Side() for load in args.loads}
@@ -418,7 +440,7 @@ def compare(args: argparse.Namespace) -> None:
     own_version = output_of([str(args.tid3r), "--version"]).strip()
     outputs = "all outputs" if args.all_outputs else "what is used"
     print(f"{args.model}, {args.threads} threads, median of {args.rounds}")
-    print(f"original: {version}, all outputs; {own_version}: {outputs}\n")
+    print(f"original: {version}, f32, all outputs; {own_version}: {args.dtype}, {outputs}\n")
     columns = [f"{unit:>7}", "original", "tid3r", "original / tid3r", "original's memory", "tid3r's memory"]
     print("  ".join(columns))
     for load in args.loads:
@@ -447,6 +469,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--tid3r", type=Path, required=True, help="the program, built with --release")
     parser.add_argument("--model", choices=MODELS, default="mvdust3r", metavar="NAME", help=", ".join(MODELS))
     parser.add_argument("--load", type=numbers, dest="loads", metavar="N,..", help="photos (4,8), boxes (100) or frames (3)")
+    parser.add_argument("--dtype", choices=["f32", "bf16"], default="f32", help="what tid3r computes with (default: f32)")
+    weights = parser.add_mutually_exclusive_group()
+    weights.add_argument("--weights", type=Path, metavar="FOLDER", help="weights of tid3r (default: made-up ones)")
+    weights.add_argument("--cache", type=Path, metavar="FOLDER", help="where made-up weights stay for the next time")
     parser.add_argument("--threads", type=positive, default=2, help="threads of each side (default: %(default)s)")
     parser.add_argument("--rounds", type=positive, default=3, help="timed runs of each side (default: %(default)s)")
     parser.add_argument("--all-outputs", action="store_true", help="let MV-DUSt3R compute Gaussians and all paths")

@@ -3,7 +3,7 @@
 use crate::{Error, error::network_problem};
 use candle_core::Device;
 use std::fmt::Display;
-use tid3r_models::Weights;
+use tid3r_models::{ComputeType, Footprint, Weights};
 use tid3r_weights_convert::{Config, Found};
 
 /// Whether weights are merely not there, rather than damaged.
@@ -43,19 +43,26 @@ pub(crate) fn damaged(found: &Found, problem: &dyn Display) -> Error {
     )
 }
 
-/// The weights themselves, mapped.
-pub(crate) fn open(found: &Found) -> Result<Weights, Error> {
-    Weights::open(&found.weights, &Device::Cpu)
-        .map_err(|error| damaged(found, &network_problem(&error)))
+/// The weights themselves, mapped, for layers that compute with this type.
+pub(crate) fn open(found: &Found, compute_type: ComputeType) -> Result<Weights, Error> {
+    let weights = Weights::open(&found.weights, &Device::Cpu);
+    let weights = weights.map_err(|error| damaged(found, &network_problem(&error)))?;
+    Ok(weights.in_type(compute_type))
 }
 
-/// Builds a network of all tensors of the weights that were found; `build` gives `None` for another
-/// network's configuration.
+/// What the weights take in memory when layers compute with this type.
+pub(crate) fn footprint(found: &Found, compute_type: ComputeType) -> Result<Footprint, Error> {
+    Ok(open(found, compute_type)?.footprint())
+}
+
+/// Builds a network of all tensors of the weights that were found, which computes with this type; `build`
+/// gives `None` for another network's configuration.
 pub(crate) fn network<N>(
     found: &Found,
+    compute_type: ComputeType,
     build: impl FnOnce(&Config, &Weights) -> Option<candle_core::Result<N>>,
 ) -> Result<N, Error> {
-    let weights = open(found)?;
+    let weights = open(found, compute_type)?;
     let network = part(found, &weights, build)?;
     match weights.unused().first() {
         None => Ok(network),

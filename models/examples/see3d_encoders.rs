@@ -13,7 +13,7 @@ use tid3r_models::nn::Precision;
 use tid3r_models::nn::cpu::measured_peak_flops;
 use tid3r_models::see3d::clip::{TextConfig, TextEncoder, VisionConfig, VisionEncoder};
 use tid3r_models::see3d::vae::{Config, Decoder, Encoder, Memory, Tiling};
-use tid3r_models::{Observer, Weights};
+use tid3r_models::{Footprint, Observer, Weights};
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
@@ -51,7 +51,7 @@ fn main() -> Result<()> {
 fn decode(side: usize, runs: usize, peak: f64) -> Result<()> {
     let config = Config::released();
     let latents = random(&[1, side / config.scale(), side / config.scale(), 4])?;
-    let memory = Memory::of_decoding(&config, (side, side), Tiling::Released)?;
+    let memory = Memory::of_decoding(&config, (side, side), Tiling::Released, Footprint::Owned(4))?;
     println!("{} MB are estimated", memory.total() >> 20);
     let of = |precision| {
         let network = Decoder::with_precision(&config, precision, &weights())?;
@@ -66,7 +66,7 @@ fn decode(side: usize, runs: usize, peak: f64) -> Result<()> {
 fn encode(side: usize, runs: usize, peak: f64) -> Result<()> {
     let config = Config::released();
     let picture = random(&[1, side, side, 3])?;
-    let memory = Memory::of_encoding(&config, (side, side), Tiling::Released)?;
+    let memory = Memory::of_encoding(&config, (side, side), Tiling::Released, Footprint::Owned(4))?;
     println!("{} MB are estimated", memory.total() >> 20);
     let of = |precision| {
         let network = Encoder::with_precision(&config, precision, &weights())?;

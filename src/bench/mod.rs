@@ -17,7 +17,7 @@ pub use profile::ProfileRow;
 use serde::Serialize;
 use std::{str::FromStr, time::Instant};
 use tid3r_models::{
-    Weights,
+    ComputeType, Weights,
     mobilesamv2::{
         ImageEncoder,
         efficient_vit::{self, EfficientVit},
@@ -49,9 +49,9 @@ pub struct BenchParams {
     /// 512x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<Size>,
-    /// Type of the numbers that are computed with
-    #[arg(long, value_enum, value_name = "TYPE", default_value_t)]
-    pub dtype: BenchDtype,
+    /// Type of the numbers that are computed with: f32 or bf16
+    #[arg(long, value_name = "TYPE", default_value_t)]
+    pub dtype: ComputeType,
     /// Timed runs, after one that is not timed; the median counts
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
@@ -64,15 +64,6 @@ pub struct BenchParams {
     /// Give the outputs of all paths of MV-DUSt3R+, not only of the first
     #[arg(long)]
     pub all_paths: bool,
-}
-
-/// Types that networks can compute with.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum BenchDtype {
-    /// Single precision
-    #[default]
-    F32,
 }
 
 /// Width and height, written with an x between.
@@ -142,15 +133,15 @@ pub struct BenchRow {
     #[serde(flatten)]
     pub load: Load,
     /// Type of the numbers.
-    pub dtype: BenchDtype,
+    pub dtype: ComputeType,
     /// Worker threads.
     pub threads: usize,
     /// Seconds of each timed run.
     pub seconds: Vec<f64>,
     /// Their median; of an even number, the mean of the middle two.
     pub median_seconds: f64,
-    /// The most memory that the process had at once in any run, in bytes, weights included; `None`
-    /// where the system does not say.
+    /// The most memory that the process had at once in any run, in bytes; `None` where the system does not
+    /// say. Of weights in a file that is what stays of them, as in any run; made-up ones are there as a whole.
     pub peak_memory_bytes: Option<u64>,
     /// Operations a second, in 10^9: two for each multiply-add of the network, convolutions counted as
     /// sums over their kernels, however they are computed.
@@ -232,7 +223,7 @@ pub fn run(
     let network = Network::named(&params.model)?;
     let threads = rayon::current_num_threads();
     let peak = measured_peak_flops(threads).map_err(failed)?;
-    let source = Source::new(network, found, progress)?;
+    let source = Source::new(network, found, params.dtype, progress)?;
     let trials = match source.config.clone() {
         Config::MvDust3r(config) => mvdust3r::trials(params, &config, &source)?,
         Config::Detector(config) => mobilesamv2::detector(params, &config, &source)?,
@@ -290,6 +281,7 @@ fn failed(error: candle_core::Error) -> Error {
 struct Source<'a> {
     found: Option<&'a Found>,
     config: Config,
+    dtype: ComputeType,
     progress: &'a dyn Progress,
 }
 
@@ -297,6 +289,7 @@ impl<'a> Source<'a> {
     fn new(
         network: &'static Network,
         found: Option<&'a Found>,
+        dtype: ComputeType,
         progress: &'a dyn Progress,
     ) -> Result<Self> {
         let config = match found {
@@ -313,6 +306,7 @@ impl<'a> Source<'a> {
         Ok(Self {
             found,
             config,
+            dtype,
             progress,
         })
     }
@@ -320,14 +314,15 @@ impl<'a> Source<'a> {
     /// The weights; made-up ones are made as they are asked for.
     fn weights(&self) -> Result<Weights> {
         const SEED: u64 = 42;
-        match self.found {
-            Some(found) => Weights::open(&found.weights, &Device::Cpu).map_err(failed),
+        let weights = match self.found {
+            Some(found) => Weights::open(&found.weights, &Device::Cpu).map_err(failed)?,
             None => {
                 self.progress.note("making up weights of full size");
                 let make = |name: &str, shape: &[usize]| synth::tensor(name, shape, SEED);
-                Ok(Weights::from_fn(make, &Device::Cpu))
+                Weights::from_fn(make, &Device::Cpu)
             }
-        }
+        };
+        Ok(weights.in_type(self.dtype))
     }
 }
 

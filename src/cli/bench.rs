@@ -11,7 +11,8 @@ use tid3r_weights_convert::Found;
 /// Measure how fast a network runs on this machine.
 ///
 /// It runs at full size on made-up pictures and, unless weights are given, on made-up weights: speed
-/// depends on neither. Operations are those of the network's definition; the share of the peak is of
+/// depends on neither, but made-up weights take memory as a whole, those of a file as far as they are used
+/// at a time. Operations are those of the network's definition; the share of the peak is of
 /// those that are really computed, against what the processor does with numbers in registers.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \

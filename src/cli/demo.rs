@@ -1,4 +1,4 @@
-use super::{output, refine, terminal::Terminal};
+use super::{Dtype, output, refine, terminal::Terminal};
 use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
@@ -19,6 +19,8 @@ pub(super) struct Demo {
     params: DemoParams,
     #[command(flatten)]
     refine: refine::Options,
+    #[command(flatten, next_help_heading = "Rendering")]
+    numbers: Dtype,
     /// Print the figures as JSON
     #[arg(long)]
     json: bool,
@@ -26,7 +28,8 @@ pub(super) struct Demo {
 
 impl Demo {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
-        let completer = self.refine.completer(&Places::of_environment())?;
+        let refine = self.refine.in_type(self.numbers.dtype);
+        let completer = refine.completer(&Places::of_environment())?;
         let report = demo::run(&self.params, &*completer, &self.output, terminal)?;
         if self.json {
             return output::json(&report);

@@ -22,6 +22,7 @@ use anyhow::{Context, Result};
 use clap::{ArgAction, Args, Parser, Subcommand};
 use std::path::PathBuf;
 use terminal::Terminal;
+use tid3r_models::ComputeType;
 
 /// Turns a few photos of a room into a 3D point cloud of separate, named objects, lets you remove,
 /// move or recolour them, and renders pictures of the edited room.
@@ -115,6 +116,15 @@ pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error
         .downcast_ref::<std::io::Error>()
         .is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// What networks compute with, of the verbs that run some.
+#[derive(Debug, Args)]
+struct Dtype {
+    /// Type of the numbers that networks compute with: f32, or bf16, which is faster on processors with
+    /// AVX-512 BF16 and keeps two to three decimal digits. It takes least memory with weights that were converted to it
+    #[arg(long, value_name = "TYPE", default_value_t)]
+    dtype: ComputeType,
 }
 
 /// The scene that a verb works on.

@@ -1,4 +1,4 @@
-use super::{output, terminal::Terminal};
+use super::{Dtype, output, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, builder::PossibleValuesParser};
 use std::path::{Path, PathBuf};
@@ -9,6 +9,7 @@ use tid3r::{
     reconstruct::{MvDust3rParams, MvDust3rReconstructor, NewScene, PlacedPhoto, Placement},
     scene::{Scale, Scene, Stage, WriteLock},
 };
+use tid3r_models::ComputeType;
 use tid3r_weights_convert::{Found, Network, Places};
 
 /// Make a scene from photos alone, with MV-DUSt3R or MV-DUSt3R+.
@@ -24,6 +25,8 @@ use tid3r_weights_convert::{Found, Network, Places};
 pub(super) struct Reconstruct {
     #[command(flatten)]
     options: Options,
+    #[command(flatten)]
+    numbers: Dtype,
     /// The folder to write the scene to
     #[arg(short, long, value_name = "SCENE")]
     output: PathBuf,
@@ -65,9 +68,8 @@ impl Reconstruct {
             Some(path) => Found::at(path)?,
             None => self.options.find_weights(&Places::of_environment())?,
         };
-        let (scene, _) = self
-            .options
-            .reconstruct(weights, &self.output, self.force, terminal)?;
+        let options = self.options.in_type(self.numbers.dtype);
+        let (scene, _) = options.reconstruct(weights, &self.output, self.force, terminal)?;
         let report = scene.require(Stage::Reconstruct)?.report.clone();
         if self.json {
             return output::json(&report);
@@ -77,6 +79,12 @@ impl Reconstruct {
 }
 
 impl Options {
+    /// The same with a network that computes with this type.
+    pub(super) fn in_type(mut self, dtype: ComputeType) -> Self {
+        self.params.dtype = dtype;
+        self
+    }
+
     /// The weights of the network that is asked for, or of the better one that is here.
     pub(super) fn find_weights(&self, places: &Places) -> Result<Found> {
         if let Some(name) = &self.network {

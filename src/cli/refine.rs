@@ -12,6 +12,7 @@ use tid3r::{
         see3d::{See3d, See3dParams, See3dWeights},
     },
 };
+use tid3r_models::ComputeType;
 use tid3r_weights_convert::Places;
 
 /// How empty pixels are completed.
@@ -92,6 +93,17 @@ impl FromArgMatches for Options {
 }
 
 impl Options {
+    /// The same with networks that compute with this type.
+    pub(super) fn in_type(mut self, dtype: ComputeType) -> Self {
+        self.0.see3d.dtype = dtype;
+        self
+    }
+
+    /// Whether networks complete projections.
+    pub(super) fn has_networks(&self) -> bool {
+        self.0.refine == Refine::See3d
+    }
+
     /// What completes projections, with weights in `places` if it needs some and none are named.
     ///
     /// Settings of See3D without See3D are refused: whoever gives them believes that it is at work.

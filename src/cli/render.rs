@@ -1,4 +1,4 @@
-use super::{SceneArgument, output, refine, terminal::Terminal};
+use super::{Dtype, SceneArgument, output, refine, terminal::Terminal};
 use anyhow::Result;
 use clap::Args;
 use std::{
@@ -15,6 +15,7 @@ use tid3r::{
     },
     scene::{Role, Scene, WriteLock},
 };
+use tid3r_models::ComputeType;
 use tid3r_weights_convert::Places;
 
 pub(super) const PATH_FORMAT: &str = r#"A camera path (--path) is a JSON file:
@@ -43,6 +44,8 @@ pub(super) struct Render {
     scene: SceneArgument,
     #[command(flatten)]
     options: Options,
+    #[command(flatten, next_help_heading = "Rendering")]
+    numbers: Dtype,
     /// The folder to write to [default: views/ in the scene]
     #[arg(short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
@@ -98,10 +101,11 @@ impl Render {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
         let scene = Scene::open(&self.scene.scene)?;
         let lock = WriteLock::acquire(scene.folder())?;
-        let completer = self.options.completer(&Places::of_environment())?;
+        let options = self.options.in_type(self.numbers.dtype);
+        let completer = options.completer(&Places::of_environment())?;
         let edited = EditedScene::load(&scene)?;
         let folder = self.output.unwrap_or_else(|| scene.folder().join("views"));
-        let Written { views, rendered } = (self.options).render(
+        let Written { views, rendered } = options.render(
             &scene,
             &edited,
             &*completer,
@@ -130,6 +134,17 @@ impl Render {
 }
 
 impl Options {
+    /// The same with networks that compute with this type.
+    pub(super) fn in_type(mut self, dtype: ComputeType) -> Self {
+        self.refine = self.refine.in_type(dtype);
+        self
+    }
+
+    /// Whether networks complete projections.
+    pub(super) fn has_networks(&self) -> bool {
+        self.refine.has_networks()
+    }
+
     /// What completes projections, with weights in `places` if it needs some.
     pub(super) fn completer(&self, places: &Places) -> Result<Box<dyn Completer>> {
         self.refine.completer(places)

@@ -1,4 +1,4 @@
-use super::{edit as edit_verb, output, reconstruct, render, segment, terminal::Terminal};
+use super::{Dtype, edit as edit_verb, output, reconstruct, render, segment, terminal::Terminal};
 use anyhow::Result;
 use clap::Args;
 use serde::Serialize;
@@ -33,6 +33,8 @@ pub(super) struct Run {
     /// Folder of all weights, with one for each network, instead of that which TID3R_MODELS names
     #[arg(long, value_name = "FOLDER")]
     weights_dir: Option<PathBuf>,
+    #[command(flatten)]
+    numbers: Dtype,
     /// Do everything again, and replace a scene that was made in another way; edits stay
     #[arg(long)]
     force: bool,
@@ -153,18 +155,22 @@ impl Run {
             places = places.with_models(folder);
         }
         let force = self.force;
+        let dtype = self.numbers.dtype;
+        let (reconstruct, segment) = (self.reconstruct.in_type(dtype), self.segment.in_type(dtype));
+        let render = match self.render.has_networks() {
+            true => self.render.in_type(dtype),
+            false => self.render,
+        };
         // What can be wrong with it is said before any work.
         let wanted = self.edits.read()?;
-        let completer = self.render.completer(&places)?;
-        let weights = self.reconstruct.find_weights(&places)?;
+        let completer = render.completer(&places)?;
+        let weights = reconstruct.find_weights(&places)?;
         let mut steps = Steps {
             terminal,
             all: Vec::new(),
         };
         let (mut scene, lock) = steps.run("reconstruct", |progress| {
-            let (scene, lock) =
-                self.reconstruct
-                    .reconstruct(weights, &self.output, force, progress)?;
+            let (scene, lock) = reconstruct.reconstruct(weights, &self.output, force, progress)?;
             let done = scene.has_run(Stage::Reconstruct);
             Ok(((scene, lock), done))
         })?;
@@ -173,9 +179,7 @@ impl Run {
             Ok((report, scene.has_run(Stage::Clean)))
         })?;
         let segmented = steps.run("segment", |progress| {
-            let report = self
-                .segment
-                .segment(&mut scene, &places, force, &lock, progress)?;
+            let report = segment.segment(&mut scene, &places, force, &lock, progress)?;
             Ok((
                 report,
                 scene.has_run(Stage::Masks) || scene.has_run(Stage::Unify),
@@ -185,7 +189,7 @@ impl Run {
         let (views, points) = steps.run("render", |progress| {
             let edited = EditedScene::load(&scene)?;
             let folder = scene.folder().join("views");
-            let Written { views, rendered } = self.render.render(
+            let Written { views, rendered } = render.render(
                 &scene,
                 &edited,
                 &*completer,

@@ -1,4 +1,4 @@
-use super::{output, terminal::Terminal};
+use super::{Dtype, output, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
@@ -16,6 +16,7 @@ use tid3r::{
         mobilesamv2::{EncoderChoice, MobileSam, MobileSamParams, MobileSamWeights},
     },
 };
+use tid3r_models::ComputeType;
 use tid3r_weights_convert::Places;
 
 /// Cut photos into masks and unify them into 3D instances; or cut photos alone into masks.
@@ -47,6 +48,8 @@ pub(super) struct Segment {
     each: bool,
     #[command(flatten)]
     options: Options,
+    #[command(flatten)]
+    numbers: Dtype,
     /// Folder of the weights, a folder in it for each network, instead of where `tid3r weights path`
     /// finds them
     #[arg(
@@ -105,6 +108,12 @@ enum SegmenterChoice {
 }
 
 impl Options {
+    /// The same with networks that compute with this type.
+    pub(super) fn in_type(mut self, dtype: ComputeType) -> Self {
+        self.sam.dtype = dtype;
+        self
+    }
+
     /// Cuts the frames of a cleaned scene and unifies the masks; writes the overviews, edits included.
     pub(super) fn segment(
         self,
@@ -170,6 +179,7 @@ impl Options {
 
 impl Segment {
     pub(super) fn run(mut self, terminal: &Terminal) -> Result<()> {
+        self.options = self.options.in_type(self.numbers.dtype);
         let mut places = Places::of_environment();
         if let Some(folder) = &self.weights {
             places = places.with_models(folder);

@@ -30,7 +30,12 @@ fn networks_of_see3d_are_measured() {
     let parts: Vec<_> = vae.iter().map(|row| &row["part"]).collect();
     assert_eq!(parts, ["encode", "decode"]);
     assert_eq!(vae[0]["size"]["height"], 64);
-    assert_eq!(rows("see3d-image-encoder", "")[0]["size"]["width"], 56);
+    assert_eq!(vae[0]["dtype"], "f32");
+    let image = rows("see3d-image-encoder", "--dtype bf16");
+    assert_eq!(
+        (&image[0]["size"]["width"], &image[0]["dtype"]),
+        (&56.into(), &"bf16".into())
+    );
     let text = rows("see3d-text-encoder", "");
     assert_eq!(
         (&text[0]["tokens"], text[0].get("size")),

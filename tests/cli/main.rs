@@ -9,6 +9,7 @@ mod bench;
 mod broken;
 mod damaged_scene;
 mod demo;
+mod dtype;
 mod edit;
 mod evaluate;
 mod export;

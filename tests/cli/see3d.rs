@@ -72,6 +72,16 @@ fn pictures_say_how_they_came_about_and_are_made_once() {
     let [out, _] = place.run_loud(&format!("render scene {SEE3D} --seed 7"));
     assert!(!out.contains("up to date"), "{out}");
 
+    // What is computed with is among the settings where it is not as always.
+    assert_eq!(settings.get("dtype"), None);
+    let [out, _] = place.run_loud(&format!("render scene {SEE3D} --dtype bf16"));
+    assert!(!out.contains("up to date"), "{out}");
+    let completion = json_text(&place, path, "tid3r:completion");
+    assert_eq!(
+        completion["completer"]["see3d"]["settings"]["dtype"],
+        "bf16"
+    );
+
     // The others say it, too.
     place.run("render scene -o filled");
     let completion = json_text(&place, "filled/frame-000002.png", "tid3r:completion");

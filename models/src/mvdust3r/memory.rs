@@ -3,20 +3,21 @@
 use candle_core::Result;
 
 use super::{Config, MvDust3r, Options, Paths};
+use crate::Footprint;
 
 /// Estimated peak of memory of one run, in bytes, without what the program itself needs.
 ///
 /// It is the sum of the buffers that are alive at once in each phase, the largest phase counting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// The weights that the run reads, in f32: mapped pages of the file, or a widened copy.
+    /// The weights that the run reads.
     pub weights: usize,
     /// Everything else.
     pub working: usize,
 }
 
 impl Memory {
-    /// The memory for `views` images of `height` x `width` pixels.
+    /// The memory for `views` images of `height` x `width` pixels, with weights of this footprint.
     ///
     /// # Errors
     ///
@@ -26,6 +27,7 @@ impl Memory {
         views: usize,
         (height, width): (usize, usize),
         options: &Options,
+        footprint: Footprint,
     ) -> Result<Self> {
         const FLOAT: usize = size_of::<f32>();
         let tensors = MvDust3r::tensors(config)?;
@@ -71,7 +73,7 @@ impl Memory {
         let heads = paths * views * (tokens * dec + pixels * for_pixel) + 8 * pixels + skip;
         let images = 3 * views * pixels;
         Ok(Self {
-            weights: weights * FLOAT,
+            weights: footprint.bytes(weights),
             working: (images + encoder.max(decoder).max(heads)) * FLOAT,
         })
     }
@@ -91,7 +93,8 @@ mod tests {
             rows,
             ..Options::default()
         };
-        Memory::new(&Config::mv_dust3r_plus(), views, (224, 224), &options).unwrap()
+        let config = Config::mv_dust3r_plus();
+        Memory::new(&config, views, (224, 224), &options, Footprint::Owned(4)).unwrap()
     }
 
     #[test]

@@ -21,6 +21,11 @@ impl ComputeType {
     /// Every type, the default first.
     pub const ALL: [Self; 2] = [Self::F32, Self::Bf16];
 
+    /// Whether it is what layers compute with unless something else is asked for.
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
     /// What people call it: what [`Self::from_str`] takes.
     pub fn name(self) -> &'static str {
         match self {

@@ -9,7 +9,6 @@ use candle_core::{Device, Result, Tensor, bail};
 use half::{bf16, f16};
 use rayon::prelude::*;
 
-use super::ComputeType;
 use super::mapping::Mapping;
 
 /// One tensor of a network.
@@ -94,18 +93,6 @@ impl Parameter {
         }
     }
 
-    /// The same in the CPU's memory, rounded to bf16 if that is what is computed with and it is f32.
-    #[must_use]
-    pub(crate) fn in_type(self, compute_type: ComputeType) -> Self {
-        let values = match (compute_type, self.values) {
-            (ComputeType::Bf16, Values::Single(values)) => {
-                Values::Rounded(values.par_iter().map(|&x| bf16::from_f32(x)).collect())
-            }
-            (_, values) => values,
-        };
-        Self { values, ..self }
-    }
-
     /// A parameter with the values of `tensor` (f32), on its device.
     ///
     /// # Errors
@@ -161,6 +148,24 @@ impl Parameter {
         }
     }
 
+    /// These values rounded to bf16, to the nearest and of two as near to the even one, if they are on the CPU;
+    /// without a copy if they are bf16.
+    pub(crate) fn rounded(&self) -> Option<Self> {
+        let values = match self.numbers()? {
+            Numbers::F32(values) => values.par_iter().map(|&x| bf16::from_f32(x)).collect(),
+            Numbers::F16(values) => {
+                let round = |x: &f16| bf16::from_f32(x.to_f32());
+                values.par_iter().map(round).collect()
+            }
+            Numbers::Bf16(_) => return Some(self.clone()),
+        };
+        self.release();
+        Some(Self {
+            shape: self.shape.clone(),
+            values: Values::Rounded(values),
+        })
+    }
+
     /// The values in f32, row-major, if they are on the CPU.
     pub(crate) fn widened(&self) -> Option<Cow<'_, [f32]>> {
         Some(match self.numbers()? {
@@ -183,14 +188,14 @@ impl Parameter {
         if let Some(index) = indices.iter().find(|&&index| index as usize >= rows) {
             bail!("row {index} of {rows} is wanted");
         }
-        match self.widened() {
-            Some(values) => {
-                let rows = indices.iter().map(|&index| index as usize * columns);
-                let values: Vec<f32> = rows
-                    .flat_map(|start| values[start..start + columns].iter().copied())
-                    .collect();
-                Tensor::from_vec(values, (indices.len(), columns), &Device::Cpu)
-            }
+        let picked = match self.numbers() {
+            Some(Numbers::F32(values)) => Some(picked(values, columns, indices, |x| x)),
+            Some(Numbers::F16(values)) => Some(picked(values, columns, indices, f16::to_f32)),
+            Some(Numbers::Bf16(values)) => Some(picked(values, columns, indices, bf16::to_f32)),
+            None => None,
+        };
+        match picked {
+            Some(values) => Tensor::from_vec(values, (indices.len(), columns), &Device::Cpu),
             None => {
                 let tensor = self.tensor()?;
                 tensor.index_select(&Tensor::new(indices, tensor.device())?, 0)
@@ -212,4 +217,16 @@ impl Parameter {
             }
         }
     }
+}
+
+/// The rows of these numbers of a matrix, one after the other.
+fn picked<T: Copy>(
+    values: &[T],
+    columns: usize,
+    indices: &[u32],
+    widen: impl Fn(T) -> f32,
+) -> Vec<f32> {
+    let rows = indices.iter().map(|&index| index as usize * columns);
+    let numbers = rows.flat_map(|start| &values[start..start + columns]);
+    numbers.map(|&x| widen(x)).collect()
 }

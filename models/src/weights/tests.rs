@@ -91,6 +91,8 @@ fn rows_are_picked() {
     let matrix = Parameter::from_values([3, 2], vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
     let rows = matrix.rows(&[2, 0, 2]).unwrap().to_vec2::<f32>().unwrap();
     assert_eq!(rows, [[4.0, 5.0], [0.0, 1.0], [4.0, 5.0]]);
+    let rounded = matrix.rounded().unwrap().rows(&[1]).unwrap();
+    assert_eq!(rounded.to_vec2::<f32>().unwrap(), [[2.0, 3.0]]);
     assert!(matrix.rows(&[3]).is_err());
     assert!(
         Parameter::from_values([6], vec![0.0; 6])

@@ -5,6 +5,7 @@ use crate::{
 };
 use std::fmt;
 use tid3r_models::{
+    Footprint,
     mvdust3r::{Config, Memory, Options, Paths, Work},
     nn::cpu::measured_peak_flops,
 };
@@ -17,6 +18,7 @@ pub struct RunEstimate {
     /// Height and width of the pictures.
     size: (usize, usize),
     gaussians: bool,
+    footprint: Footprint,
     work: Work,
     /// Seconds, about.
     pub seconds: f64,
@@ -32,7 +34,7 @@ const PROGRAM_BYTES: u64 = 60_000_000;
 const ROWS: [usize; 5] = [4096, 2048, 1024, 512, 1];
 
 impl RunEstimate {
-    /// For `views` pictures of `size` (height, width).
+    /// For `views` pictures of `size` (height, width), with weights of this footprint.
     ///
     /// # Errors
     /// When the machine cannot be measured, or no network has this configuration.
@@ -41,6 +43,7 @@ impl RunEstimate {
         views: usize,
         size: (usize, usize),
         gaussians: bool,
+        footprint: Footprint,
     ) -> Result<Self> {
         let work = Work::new(config, views, size, Paths::First, gaussians && config.gs);
         let peak = measured_peak_flops(rayon::current_num_threads())
@@ -50,6 +53,7 @@ impl RunEstimate {
             views,
             size,
             gaussians,
+            footprint,
             work,
             seconds: 2.0 * work.computed() / (REACHED * peak),
             bytes: 0,
@@ -70,7 +74,7 @@ impl RunEstimate {
             rows,
             ..Options::default()
         };
-        let memory = Memory::new(&self.config, views, self.size, &options);
+        let memory = Memory::new(&self.config, views, self.size, &options, self.footprint);
         Ok(memory
             .map_err(|error| unknown(&network_problem(&error)))?
             .total() as u64

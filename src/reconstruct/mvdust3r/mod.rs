@@ -20,14 +20,15 @@ use crate::{
         RecoveredCamera, RecoveredView, Recovery, RecoveryError, recover_cameras, view_order,
     },
     scene::{Frame, Gaussians},
+    weights::{damaged, open},
 };
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use sight::Sight;
 use tid3r_models::{
-    Weights,
+    ComputeType, Weights,
     mvdust3r::{Config, MvDust3r, Observer, Options, ViewOutput},
 };
-use tid3r_weights_convert::{self as weights, Found};
+use tid3r_weights_convert::{self as convert, Found};
 
 /// Reconstructs photos with MV-DUSt3R or MV-DUSt3R+.
 ///
@@ -49,15 +50,14 @@ impl MvDust3rReconstructor {
     /// # Errors
     /// When the weights are not MV-DUSt3R's, or their file is damaged or lacks a tensor.
     pub fn new(found: Found, params: MvDust3rParams, max_memory: Option<u64>) -> Result<Self> {
-        let weights::Config::MvDust3r(config) = found.file.config.clone() else {
+        let convert::Config::MvDust3r(config) = found.file.config.clone() else {
             return Err(Error::file(
                 &found.folder,
                 "holds the weights of a network that does not reconstruct",
                 "give those of mvdust3r or mvdust3r-plus",
             ));
         };
-        let weights = Weights::open(&found.weights, &Device::Cpu)
-            .map_err(|error| damaged(&found, &network_problem(&error)))?;
+        let weights = open(&found, ComputeType::F32)?;
         let this = Self {
             config,
             weights,
@@ -65,8 +65,8 @@ impl MvDust3rReconstructor {
             params,
             max_memory,
         };
-        // Whatever is wrong with the weights is told before any photo is looked at.
-        this.network(this.config.references())?;
+        // Whatever is wrong with the weights is told before any photo is looked at, and before they are rounded.
+        this.network(this.config.references(), ComputeType::F32)?;
         let unused = this.weights.unused();
         if let Some(name) = unused.first() {
             let problem = format!(
@@ -88,13 +88,13 @@ impl MvDust3rReconstructor {
         })
     }
 
-    /// The network with so many reference views, which its weights know nothing of.
-    fn network(&self, references: usize) -> Result<MvDust3r> {
+    /// The network with so many reference views, which its weights know nothing of, computing with this type.
+    fn network(&self, references: usize, compute_type: ComputeType) -> Result<MvDust3r> {
         let config = Config {
             n_ref: Some(references),
             ..self.config.clone()
         };
-        MvDust3r::new(&config, &self.weights)
+        MvDust3r::new(&config, &self.weights.clone().in_type(compute_type))
             .map_err(|error| damaged(&self.found, &network_problem(&error)))
     }
 
@@ -113,8 +113,15 @@ impl MvDust3rReconstructor {
         let views = sights.len();
         let size = sights[0].size();
         let references = self.references(views);
-        let network = self.network(references)?;
-        let estimate = RunEstimate::new(network.config(), views, size, !self.params.no_gaussians)?;
+        let network = self.network(references, self.params.dtype)?;
+        let weights = self.weights.clone().in_type(self.params.dtype);
+        let estimate = RunEstimate::new(
+            network.config(),
+            views,
+            size,
+            !self.params.no_gaussians,
+            weights.footprint(),
+        )?;
         let rows = estimate.rows_within(self.max_memory)?;
         progress.note(&estimate.to_string());
         let options = Options {
@@ -337,14 +344,6 @@ fn warn(photos: &[PlacedPhoto]) {
             doubtful.join(", ")
         );
     }
-}
-
-fn damaged(found: &Found, problem: &dyn std::fmt::Display) -> Error {
-    Error::file(
-        &found.folder,
-        format!("the weights cannot be used: {problem}"),
-        "make them again with `tid3r weights convert`",
-    )
 }
 
 /// Shows the network's progress, in thousandths of the work.

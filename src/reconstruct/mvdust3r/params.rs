@@ -5,6 +5,7 @@ use crate::{
 };
 use serde::Serialize;
 use std::str::FromStr;
+use tid3r_models::ComputeType;
 
 /// How MV-DUSt3R reconstructs photos.
 #[derive(Clone, Debug, PartialEq, clap::Args, Serialize)]
@@ -36,6 +37,10 @@ pub struct MvDust3rParams {
     /// Seed of the random draws
     #[arg(long, value_name = "N", default_value_t = 42)]
     pub seed: u64,
+    /// What the network computes with.
+    #[arg(skip)]
+    #[serde(skip_serializing_if = "ComputeType::is_default")]
+    pub dtype: ComputeType,
 }
 
 impl Default for MvDust3rParams {
@@ -49,6 +54,7 @@ impl Default for MvDust3rParams {
             recovery: RecoveryParams::default(),
             no_gaussians: false,
             seed: 42,
+            dtype: ComputeType::default(),
         }
     }
 }

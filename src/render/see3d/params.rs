@@ -1,5 +1,6 @@
 use crate::parameters;
 use serde::{Deserialize, Serialize};
+use tid3r_models::ComputeType;
 
 /// How See3D completes views.
 #[derive(Clone, Debug, PartialEq, clap::Args, Serialize, Deserialize)]
@@ -41,6 +42,10 @@ pub struct See3dParams {
     #[arg(id = "see3d_memory", long = "see3d-memory", value_name = "AMOUNT", value_parser = parameters::memory)]
     #[serde(skip)]
     pub max_memory: Option<u64>,
+    /// What the networks compute with.
+    #[arg(skip)]
+    #[serde(default, skip_serializing_if = "ComputeType::is_default")]
+    pub dtype: ComputeType,
 }
 
 impl Default for See3dParams {
@@ -55,6 +60,7 @@ impl Default for See3dParams {
             seed: 42,
             super_resolution: false,
             max_memory: None,
+            dtype: ComputeType::default(),
         }
     }
 }

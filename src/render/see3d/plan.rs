@@ -16,7 +16,7 @@ use tid3r_models::{
     see3d::{
         clip,
         denoise::Halves,
-        unet::{self, Unet},
+        unet,
         vae::{self, Tiling},
     },
 };
@@ -132,10 +132,12 @@ impl Job<'_> {
         let sum = || -> candle_core::Result<usize> {
             let known = |error: Error| candle_core::Error::Msg(error.to_string());
             let image = &self.weights.image_encoder_config().map_err(known)?.vision;
+            let footprint = self.weights.image_encoder_footprint().map_err(known)?;
+            let image = clip::Memory::of_vision(image, footprint)?;
             let text = self.weights.text_encoder_config().map_err(known)?;
-            let encoders = clip::Memory::of_vision(image)?
-                .total()
-                .max(clip::Memory::of_text(&text.text, text.empty_prompt.len())?.total());
+            let footprint = self.weights.text_encoder_footprint().map_err(known)?;
+            let text = clip::Memory::of_text(&text.text, text.empty_prompt.len(), footprint)?;
+            let encoders = image.total().max(text.total());
             let parts = self.parts(plan.group);
             let mut most = encoders;
             for stage in self.settings.stages() {
@@ -165,27 +167,17 @@ impl Job<'_> {
             Halves::InTurn => 1,
         };
         let latents = self.latents(stage);
-        let unet = unet::Memory::new(config, groups, frames, latents)?;
-        let numbers = Unet::tensors(config)?
-            .values()
-            .map(|shape| shape.iter().product::<usize>())
-            .sum();
-        let is_half = self
-            .weights
-            .unet_is_half(stage, self.photos, numbers)
-            .map_err(known)?;
-        let weights = match is_half {
-            true => unet.compact_weights,
-            false => unet.weights,
-        };
+        let footprint = self.weights.unet_footprint(stage, self.photos);
+        let unet = unet::Memory::new(config, groups, frames, latents, footprint.map_err(known)?)?;
         let side = self.settings.side(stage) as usize;
         let (vae, size) = (self.weights.vae_config().map_err(known)?, (side, side));
-        let encoding = vae::Memory::of_encoding(vae, size, way.tiling())?.total();
-        let decoding = vae::Memory::of_decoding(vae, size, way.tiling())?.total();
+        let (tiling, footprint) = (way.tiling(), self.weights.vae_footprint().map_err(known)?);
+        let encoding = vae::Memory::of_encoding(vae, size, tiling, footprint)?.total();
+        let decoding = vae::Memory::of_decoding(vae, size, tiling, footprint)?.total();
         let others = encoding.max(decoding);
         let most = match way.stays {
-            true => weights + unet.working.max(others),
-            false => (weights + unet.working).max(others),
+            true => unet.weights + unet.working.max(others),
+            false => unet.total().max(others),
         };
         Ok(most + frames * side * side * PIXEL_BYTES)
     }

@@ -1,6 +1,7 @@
 use super::{Quality, See3dParams};
 use serde::Serialize;
 use tid3r_models::{
+    ComputeType,
     nn::Precision,
     see3d::denoise::{self, Halves, Reuse, Sampler, Variant},
 };
@@ -49,6 +50,9 @@ pub(super) struct Settings {
     pub(super) guidance: f64,
     pub(super) seed: u64,
     pub(super) super_resolution: bool,
+    /// What the networks compute with.
+    #[serde(skip_serializing_if = "ComputeType::is_default")]
+    pub(super) dtype: ComputeType,
 }
 
 impl Settings {
@@ -69,6 +73,7 @@ impl Settings {
             guidance: params.guidance,
             seed: params.seed,
             super_resolution: params.super_resolution,
+            dtype: params.dtype,
         }
     }
 

@@ -8,11 +8,14 @@ use crate::{
 };
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use tid3r_models::see3d::{
-    clip::{TextEncoder, VisionEncoder},
-    denoise::Conditions,
-    unet::Unet,
-    vae::{self, Decoder, Encoder, Tiling},
+use tid3r_models::{
+    ComputeType, Footprint,
+    see3d::{
+        clip::{TextEncoder, VisionEncoder},
+        denoise::Conditions,
+        unet::Unet,
+        vae::{self, Decoder, Encoder, Tiling},
+    },
 };
 use tid3r_weights_convert::{
     Config, Found, Network, Places, Precision,
@@ -36,6 +39,8 @@ pub struct See3dWeights {
     vae: Found,
     image_encoder: Found,
     text_encoder: Found,
+    /// What the networks compute with.
+    compute_type: ComputeType,
     /// The folder of made-up ones, which goes when they do.
     _made_up: Option<TempDir>,
 }
@@ -81,6 +86,7 @@ impl See3dWeights {
             vae,
             image_encoder,
             text_encoder,
+            compute_type: params.dtype,
             _made_up: None,
         };
         found.check()?;
@@ -196,23 +202,33 @@ impl See3dWeights {
         }
     }
 
-    /// Whether the file of the largest network holds numbers of half precision.
-    pub(super) fn unet_is_half(&self, stage: Stage, photos: usize, numbers: usize) -> Result<bool> {
-        let found = self.unet_of(stage, photos)?;
-        let size = std::fs::metadata(&found.weights).map_err(Error::io("read", &found.weights))?;
-        Ok(size.len() < 3 * numbers as u64)
+    /// What the network's weights take that denoises frames with so many photos among them.
+    pub(super) fn unet_footprint(&self, stage: Stage, photos: usize) -> Result<Footprint> {
+        weights::footprint(self.unet_of(stage, photos)?, self.compute_type)
+    }
+
+    pub(super) fn vae_footprint(&self) -> Result<Footprint> {
+        weights::footprint(&self.vae, self.compute_type)
+    }
+
+    pub(super) fn image_encoder_footprint(&self) -> Result<Footprint> {
+        weights::footprint(&self.image_encoder, self.compute_type)
+    }
+
+    pub(super) fn text_encoder_footprint(&self) -> Result<Footprint> {
+        weights::footprint(&self.text_encoder, self.compute_type)
     }
 
     pub(super) fn unet(&self, stage: Stage, photos: usize) -> Result<Unet> {
         let found = self.unet_of(stage, photos)?;
-        network(found, |config, weights| match config {
+        network(found, self.compute_type, |config, weights| match config {
             Config::Unet(config) => Some(Unet::with_precision(&config.unet, PRECISION, weights)),
             _ => None,
         })
     }
 
     pub(super) fn encoder(&self, tiling: Tiling) -> Result<Encoder> {
-        let weights = weights::open(&self.vae)?;
+        let weights = weights::open(&self.vae, self.compute_type)?;
         let encoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Encoder::new(config, weights)),
             _ => None,
@@ -221,7 +237,7 @@ impl See3dWeights {
     }
 
     pub(super) fn decoder(&self, tiling: Tiling) -> Result<Decoder> {
-        let weights = weights::open(&self.vae)?;
+        let weights = weights::open(&self.vae, self.compute_type)?;
         let decoder = part(&self.vae, &weights, |config, weights| match config {
             Config::Vae(config) => Some(Decoder::new(config, weights)),
             _ => None,
@@ -230,17 +246,25 @@ impl See3dWeights {
     }
 
     pub(super) fn image_encoder(&self) -> Result<VisionEncoder> {
-        network(&self.image_encoder, |config, weights| match config {
-            Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
-            _ => None,
-        })
+        network(
+            &self.image_encoder,
+            self.compute_type,
+            |config, weights| match config {
+                Config::ImageEncoder(config) => Some(VisionEncoder::new(&config.vision, weights)),
+                _ => None,
+            },
+        )
     }
 
     pub(super) fn text_encoder(&self) -> Result<TextEncoder> {
-        network(&self.text_encoder, |config, weights| match config {
-            Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
-            _ => None,
-        })
+        network(
+            &self.text_encoder,
+            self.compute_type,
+            |config, weights| match config {
+                Config::TextEncoder(config) => Some(TextEncoder::new(&config.text, weights)),
+                _ => None,
+            },
+        )
     }
 
     /// How the image encoder wants pictures.

@@ -5,6 +5,7 @@ use crate::{
     machine::{available_memory, readable_bytes, readable_seconds},
 };
 use tid3r_models::{
+    Footprint,
     mobilesamv2::{ImageEncoder, decoder, detector, efficient_vit, tiny_vit, vit},
     nn::cpu::measured_peak_flops,
 };
@@ -26,16 +27,21 @@ pub(super) struct PictureEstimate {
 }
 
 impl PictureEstimate {
-    /// For a square picture with as many objects as rooms have: how many there are is known late.
+    /// For a square picture with as many objects as rooms have: how many there are is known late. The
+    /// footprints are those of the weights of encoder and decoder.
     ///
     /// # Errors
     /// When the machine cannot be measured.
-    pub(super) fn new(networks: &Networks, params: &MobileSamParams) -> Result<Self> {
+    pub(super) fn new(
+        networks: &Networks,
+        params: &MobileSamParams,
+        footprints: [Footprint; 2],
+    ) -> Result<Self> {
         let estimate = || {
             let peak = measured_peak_flops(rayon::current_num_threads())?;
             Ok(Self {
                 seconds: 2.0 * work(networks, params)? / (REACHED * peak),
-                bytes: bytes(networks, params)? as u64,
+                bytes: bytes(networks, params, footprints)? as u64,
             })
         };
         estimate().map_err(|error: candle_core::Error| {
@@ -93,25 +99,30 @@ pub(super) fn work(networks: &Networks, params: &MobileSamParams) -> candle_core
 }
 
 /// Bytes at the most at a time: the networks run one after another, and their weights stay.
-fn bytes(networks: &Networks, params: &MobileSamParams) -> candle_core::Result<usize> {
+fn bytes(
+    networks: &Networks,
+    params: &MobileSamParams,
+    [encoder, decoder]: [Footprint; 2],
+) -> candle_core::Result<usize> {
     let side = SamFrame::SIDE as usize;
     let (weights, working) = match &networks.encoder {
-        ImageEncoder::EfficientVit(encoder) => {
-            let memory = efficient_vit::Memory::new(encoder.config(), (side, side))?;
+        ImageEncoder::EfficientVit(network) => {
+            let memory = efficient_vit::Memory::new(network.config(), (side, side))?;
             (memory.weights, memory.working)
         }
-        ImageEncoder::TinyVit(encoder) => {
-            let memory = tiny_vit::Memory::new(encoder.config())?;
+        ImageEncoder::TinyVit(network) => {
+            let memory = tiny_vit::Memory::new(network.config(), encoder)?;
             (memory.weights, memory.working)
         }
-        ImageEncoder::Vit(encoder) => {
-            let memory = vit::Memory::new(encoder.config())?;
+        ImageEncoder::Vit(network) => {
+            let memory = vit::Memory::new(network.config(), encoder)?;
             (memory.weights, memory.working)
         }
     };
     let detector = detector::Memory::new(networks.detector.config(), detector_size(params))?;
     let options = decoder::Options::default();
-    let decoder = decoder::Memory::new(networks.decoder.config(), objects(params), &options)?;
+    let config = networks.decoder.config();
+    let decoder = decoder::Memory::new(config, objects(params), &options, decoder)?;
     let most = working.max(detector.working).max(decoder.working);
     Ok(PROGRAM_BYTES + weights + detector.weights + decoder.weights + most)
 }

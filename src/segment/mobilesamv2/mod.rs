@@ -42,12 +42,14 @@ use image::RgbImage;
 use serde_json::{Value, json};
 use sharp_picture::sharp_picture;
 use std::{fs, path::Path};
-use tid3r_models::Observer;
+use tid3r_models::{Footprint, Observer};
 
 /// Segments pictures with MobileSAMv2.
 pub struct MobileSam {
     networks: Networks,
     params: MobileSamParams,
+    /// What the weights of encoder and decoder take in memory.
+    footprints: [Footprint; 2],
     /// Which networks they are.
     description: Value,
 }
@@ -59,7 +61,8 @@ impl MobileSam {
     /// When weights are damaged, lack a tensor, or have one too many.
     pub fn new(weights: &MobileSamWeights, params: MobileSamParams) -> Result<Self> {
         Ok(Self {
-            networks: weights.networks()?,
+            networks: weights.networks(params.dtype)?,
+            footprints: weights.footprints(params.dtype)?,
             params,
             description: weights.description(),
         })
@@ -153,7 +156,7 @@ impl MobileSam {
 
 impl Segmenter for MobileSam {
     fn begin(&self, frames: usize, progress: &dyn Progress) -> Result<Pace> {
-        let estimate = PictureEstimate::new(&self.networks, &self.params)?;
+        let estimate = PictureEstimate::new(&self.networks, &self.params, self.footprints)?;
         progress.note(&estimate.of(frames));
         estimate.compare_with_machine();
         Ok(Pace::OneByOne)

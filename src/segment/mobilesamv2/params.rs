@@ -1,6 +1,7 @@
 use super::BoxSelection;
 use crate::parameters;
 use serde::{Deserialize, Serialize};
+use tid3r_models::ComputeType;
 
 /// How MobileSAMv2 cuts a picture into objects.
 #[derive(Clone, Debug, PartialEq, clap::Args, Serialize, Deserialize)]
@@ -24,6 +25,10 @@ pub struct MobileSamParams {
     /// (intersection over union) are dropped [default: none]
     #[arg(long, value_name = "SHARE", value_parser = parameters::share)]
     pub min_predicted_iou: Option<f64>,
+    /// What the networks compute with.
+    #[arg(skip)]
+    #[serde(default, skip_serializing_if = "ComputeType::is_default")]
+    pub dtype: ComputeType,
 }
 
 impl Default for MobileSamParams {
@@ -34,6 +39,7 @@ impl Default for MobileSamParams {
             detector_size: 1024,
             max_masks: 300,
             min_predicted_iou: None,
+            dtype: ComputeType::default(),
         }
     }
 }

@@ -1,12 +1,15 @@
 use super::{EncoderChoice, Networks};
 use crate::{
     Error, Result,
-    weights::{are_missing, joined, network},
+    weights::{are_missing, footprint, joined, network},
 };
 use serde_json::{Value, json};
-use tid3r_models::mobilesamv2::{
-    ImageEncoder, decoder::Decoder, detector::Detector, efficient_vit::EfficientVit,
-    tiny_vit::TinyVit, vit::Vit,
+use tid3r_models::{
+    ComputeType, Footprint,
+    mobilesamv2::{
+        ImageEncoder, decoder::Decoder, detector::Detector, efficient_vit::EfficientVit,
+        tiny_vit::TinyVit, vit::Vit,
+    },
 };
 use tid3r_weights_convert::{Config, Found, Network, Places};
 
@@ -66,31 +69,49 @@ impl MobileSamWeights {
         }
     }
 
-    /// The networks.
+    /// The networks, which compute with this type.
     ///
     /// # Errors
     /// When weights are damaged, lack a tensor, or have one too many.
-    pub(super) fn networks(&self) -> Result<Networks> {
+    pub(super) fn networks(&self, compute_type: ComputeType) -> Result<Networks> {
         Ok(Networks {
-            detector: network(&self.detector, |config, weights| match config {
-                Config::Detector(config) => Some(Detector::new(config, weights)),
-                _ => None,
-            })?,
-            encoder: network(&self.encoder, |config, weights| match config {
-                Config::EfficientVit(config) => {
-                    Some(EfficientVit::new(config, weights).map(ImageEncoder::EfficientVit))
-                }
-                Config::TinyVit(config) => {
-                    Some(TinyVit::new(config, weights).map(ImageEncoder::TinyVit))
-                }
-                Config::Vit(config) => Some(Vit::new(config, weights).map(ImageEncoder::Vit)),
-                _ => None,
-            })?,
-            decoder: network(&self.decoder, |config, weights| match config {
-                Config::Decoder(config) => Some(Decoder::new(config, weights)),
-                _ => None,
-            })?,
+            detector: network(
+                &self.detector,
+                compute_type,
+                |config, weights| match config {
+                    Config::Detector(config) => Some(Detector::new(config, weights)),
+                    _ => None,
+                },
+            )?,
+            encoder: network(
+                &self.encoder,
+                compute_type,
+                |config, weights| match config {
+                    Config::EfficientVit(config) => {
+                        Some(EfficientVit::new(config, weights).map(ImageEncoder::EfficientVit))
+                    }
+                    Config::TinyVit(config) => {
+                        Some(TinyVit::new(config, weights).map(ImageEncoder::TinyVit))
+                    }
+                    Config::Vit(config) => Some(Vit::new(config, weights).map(ImageEncoder::Vit)),
+                    _ => None,
+                },
+            )?,
+            decoder: network(
+                &self.decoder,
+                compute_type,
+                |config, weights| match config {
+                    Config::Decoder(config) => Some(Decoder::new(config, weights)),
+                    _ => None,
+                },
+            )?,
         })
+    }
+
+    /// What the weights of encoder and decoder take in memory when they compute with this type.
+    pub(super) fn footprints(&self, compute_type: ComputeType) -> Result<[Footprint; 2]> {
+        let of = |found| footprint(found, compute_type);
+        Ok([of(&self.encoder)?, of(&self.decoder)?])
     }
 
     /// What masks depend on, for `scene.json`.

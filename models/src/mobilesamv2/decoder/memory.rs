@@ -3,23 +3,29 @@
 use candle_core::Result;
 
 use super::{Config, Decoder, Options, Output};
+use crate::Footprint;
 
 /// Estimated peak of memory of one run, in bytes, without what the program itself needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// The weights, in f32: mapped pages of the file, or a widened copy.
+    /// The weights.
     pub weights: usize,
     /// Everything else, the masks included.
     pub working: usize,
 }
 
 impl Memory {
-    /// The memory for an image with so many boxes.
+    /// The memory for an image with so many boxes, with weights of this footprint.
     ///
     /// # Errors
     ///
     /// If the sizes in `config` do not fit each other.
-    pub fn new(config: &Config, boxes: usize, options: &Options) -> Result<Self> {
+    pub fn new(
+        config: &Config,
+        boxes: usize,
+        options: &Options,
+        footprint: Footprint,
+    ) -> Result<Self> {
         const FLOAT: usize = size_of::<f32>();
         let tensors = Decoder::tensors(config)?;
         let weights: usize = tensors.values().map(|x| x.iter().product::<usize>()).sum();
@@ -39,7 +45,7 @@ impl Memory {
         // The masks of chunks, and of all.
         let logits = 2 * boxes * masks * 16 * places;
         Ok(Self {
-            weights: weights * FLOAT,
+            weights: footprint.bytes(weights),
             working: (shared + chunk + logits) * FLOAT,
         })
     }
@@ -61,7 +67,7 @@ mod tests {
                 boxes: at_once,
                 ..Options::default()
             };
-            Memory::new(&Config::released(), boxes, &options).unwrap()
+            Memory::new(&Config::released(), boxes, &options, Footprint::default()).unwrap()
         };
         // 4.06 million parameters of the mask decoder, and 1024 of the prompt encoder.
         let weights = of(100, 8).weights as f64 / 4e6;

@@ -2,15 +2,15 @@
 
 use candle_core::Result;
 
-use super::{Config, Detector, Work};
+use super::{Config, Detector};
 
 /// Estimated peak of memory of one run, in bytes, without what the program itself needs.
 ///
 /// Maps count that are alive at once in the layer that has most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// What stays from one run to the next: the weights, in f32 (mapped pages of the file, or a widened
-    /// copy), and once more as they are laid out for the kernels.
+    /// What stays from one run to the next: the weights as they are laid out for the kernels, with batch norms
+    /// folded in; those in the file have left memory then.
     pub weights: usize,
     /// Everything else.
     pub working: usize,
@@ -26,17 +26,8 @@ impl Memory {
         const FLOAT: usize = size_of::<f32>();
         // What a convolution holds while it runs.
         const SCRATCH: usize = 16 << 20;
-        let (mut weights, mut kernels) = (0, 0);
-        for (name, shape) in Detector::tensors(config)? {
-            let count: usize = shape.iter().product();
-            weights += count;
-            // Kernels as they are laid out: fast ones are 36 products for 9 weights.
-            kernels += match Work::is_fast(&name, &shape) {
-                true => 4 * count,
-                false if shape.len() == 4 => count,
-                false => 0,
-            };
-        }
+        let tensors = Detector::tensors(config)?.into_values();
+        let weights = tensors.map(|shape| shape.iter().product::<usize>());
         let pixels = height * width;
         let map = |stride: usize, channels: usize| pixels / (stride * stride) * channels;
         // Input, both halves, what each bottleneck leaves, and a hidden map or the result.
@@ -60,7 +51,7 @@ impl Memory {
         ];
         let maps = 3 * pixels + layers.into_iter().max().unwrap_or(0);
         Ok(Self {
-            weights: (weights + kernels) * FLOAT,
+            weights: weights.sum::<usize>() * FLOAT,
             working: maps * FLOAT + SCRATCH,
         })
     }
@@ -79,9 +70,9 @@ mod tests {
     fn the_network_in_its_full_size() {
         let of = |size| Memory::new(&Config::released(), size).unwrap();
         let (wide, square) = (of((768, 1024)), of((1024, 1024)));
-        // 68.7 million weights, without mask coefficients; laid out, 836 MB.
-        let weights = wide.weights as f64 / 1e6;
-        assert!((weights - (4.0 * 68.7 + 836.3)).abs() < 1.0, "{weights}");
+        // 68.7 million weights, without mask coefficients.
+        let weights = wide.weights as f64 / 4e6;
+        assert!((weights - 68.7).abs() < 0.1, "{weights}");
         // The block at a quarter of the size has most maps.
         let pixels = 768 * 1024;
         let maps = pixels * 3 + pixels / 16 * (3 * 160 + 4 * 80);

@@ -3,23 +3,24 @@
 use candle_core::Result;
 
 use super::{Config, Vit};
+use crate::Footprint;
 
 /// Estimated peak of memory of one run on one image, in bytes, without what the program itself needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// The weights: mapped pages of the file, or a widened copy.
+    /// The weights.
     pub weights: usize,
     /// Everything else: the buffers that are alive at once in a block.
     pub working: usize,
 }
 
 impl Memory {
-    /// The memory that a network of this configuration takes.
+    /// The memory that a network of this configuration takes, with weights of this footprint.
     ///
     /// # Errors
     ///
     /// If the sizes in `config` do not fit each other.
-    pub fn new(config: &Config) -> Result<Self> {
+    pub fn new(config: &Config, footprint: Footprint) -> Result<Self> {
         const FLOAT: usize = size_of::<f32>();
         let tensors = Vit::tensors(config)?;
         let weights: usize = tensors
@@ -33,7 +34,7 @@ impl Memory {
         let (channels, hidden) = (config.embed_dim, config.hidden());
         let block = 2 * channels + (5 * channels).max(hidden + channels);
         Ok(Self {
-            weights: weights * FLOAT,
+            weights: footprint.bytes(weights),
             working: (image + tokens * block) * FLOAT,
         })
     }
@@ -51,7 +52,7 @@ mod tests {
     #[test]
     fn the_released_network() {
         // 637 million parameters; seven layers of 4096 x 1280 numbers, 21 MB each, and the image.
-        let memory = Memory::new(&Config::released()).unwrap();
+        let memory = Memory::new(&Config::released(), Footprint::Owned(4)).unwrap();
         assert!(
             (memory.weights as f64 / 4e6 - 637.0).abs() < 0.1,
             "{memory:?}"

@@ -19,7 +19,8 @@ pub(super) struct Parameters {
 
 /// Parameters with the norm folded in, in the CPU's memory.
 pub(super) struct Folded {
-    /// As the parameter's; the same numbers in memory if there is no norm.
+    /// As the parameter's, rounded to what is computed with; the same numbers in memory if there is nothing to
+    /// do.
     pub(super) weight: Parameter,
     /// (outputs).
     pub(super) bias: Vec<f32>,
@@ -30,8 +31,10 @@ impl Parameters {
     /// (outputs).
     pub(super) fn new(shape: &[usize], bias: bool, weights: &Weights) -> Result<Self> {
         let bias = bias.then(|| weights.get([shape[0]], "bias"));
+        // Rounded once, after the norm is folded in.
+        let stored = weights.clone().in_type(ComputeType::F32);
         Ok(Self {
-            weight: weights.get_stored(shape, "weight")?,
+            weight: stored.get_stored(shape, "weight")?,
             bias: bias.transpose()?,
             norm: None,
             compute_type: weights.compute_type(),
@@ -78,11 +81,8 @@ impl Parameters {
             None => vec![0.0; outputs],
         };
         let Some(norm) = &self.norm else {
-            self.weight.numbers()?;
-            return Some(Folded {
-                weight: self.weight.clone(),
-                bias,
-            });
+            let weight = self.rounded(self.weight.clone())?;
+            return Some(Folded { weight, bias });
         };
         let (scale, shift) = (norm.weight.host()?, norm.bias.host()?);
         let (mean, variance) = (norm.running_mean.host()?, norm.running_var.host()?);
@@ -98,10 +98,16 @@ impl Parameters {
             *bias = (centred * factor + f64::from(shift[i])) as f32;
         }
         self.weight.release();
-        Some(Folded {
-            weight: Parameter::from_values(self.shape(), folded).in_type(self.compute_type),
-            bias,
-        })
+        let weight = self.rounded(Parameter::from_values(self.shape(), folded))?;
+        Some(Folded { weight, bias })
+    }
+
+    /// `weight` in what is computed with, if it is on the CPU.
+    fn rounded(&self, weight: Parameter) -> Option<Parameter> {
+        match self.compute_type {
+            ComputeType::F32 => weight.numbers().is_some().then_some(weight),
+            ComputeType::Bf16 => weight.rounded(),
+        }
     }
 
     /// Weight and bias with the norm folded in, as candle's tensors, where they are.

@@ -7,7 +7,7 @@ use candle_core::{DType, Result, Tensor, bail};
 use super::layer::{Layer, Mask};
 use super::{TextConfig, Work};
 use crate::nn::LayerNorm;
-use crate::{Observer, Parameter, Unobserved, Weights};
+use crate::{ComputeType, Observer, Parameter, Unobserved, Weights};
 
 /// CLIP's text encoder (`CLIPTextModel`): its last hidden state, after the final norm.
 #[derive(Clone, Debug)]
@@ -32,17 +32,16 @@ impl TextEncoder {
         config.validate()?;
         let (channels, eps) = (config.hidden_size, config.layer_norm_eps);
         let model = weights.pp("text_model");
-        let embedding = |rows: usize, name: &str| {
-            model
-                .pp("embeddings")
-                .pp(name)
-                .get([rows, channels], "weight")
-        };
+        let embeddings = model.pp("embeddings");
         let positions = config.max_position_embeddings;
+        // A few rows of it are looked up, so it stays in the file.
+        let token_embedding = (embeddings.pp("token_embedding").in_type(ComputeType::F32))
+            .get_stored([config.vocab_size, channels], "weight")?;
         Ok(Self {
             config: config.clone(),
-            token_embedding: embedding(config.vocab_size, "token_embedding")?,
-            position_embedding: embedding(positions, "position_embedding")?,
+            token_embedding,
+            position_embedding: (embeddings.pp("position_embedding"))
+                .get([positions, channels], "weight")?,
             layers: Layer::all(config.stack(), Mask::Causal, &model.pp("encoder"))?,
             final_layer_norm: LayerNorm::new(channels, eps, &model.pp("final_layer_norm"))?,
         })

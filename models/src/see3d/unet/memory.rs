@@ -5,15 +5,14 @@ use candle_core::Result;
 use super::plan::{Layer, Plan};
 use super::work::is_winograd;
 use super::{Config, FeedForward, SpatialTransformer, Unet, Work};
+use crate::Footprint;
 
 /// Estimated peak of memory, in bytes, without what the program itself needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// What stays from one call to the next: the weights, in f32 (mapped pages of the file, or a widened
-    /// copy), and those of some convolutions once more, as they are laid out for the kernels.
+    /// What stays from one call to the next: the weights, and those of some convolutions once more, as they
+    /// are laid out for the kernels.
     pub weights: usize,
-    /// The same of a file in half precision.
-    pub compact_weights: usize,
     /// Everything else of a call: the maps that are alive at once where they take most.
     pub working: usize,
 }
@@ -23,7 +22,8 @@ impl Memory {
     /// What kernels hold while they run.
     const SCRATCH: usize = 32 << 20;
 
-    /// The memory of calls for `groups` of `frames` frames of `height` x `width` latents at once.
+    /// The memory of calls for `groups` of `frames` frames of `height` x `width` latents at once, with weights of
+    /// this footprint.
     ///
     /// # Errors
     ///
@@ -33,8 +33,8 @@ impl Memory {
         groups: usize,
         frames: usize,
         (height, width): (usize, usize),
+        footprint: Footprint,
     ) -> Result<Self> {
-        const HALF: usize = 2;
         let (mut weights, mut laid_out) = (0, 0);
         for (name, shape) in Unet::tensors(config)? {
             let count: usize = shape.iter().product();
@@ -55,8 +55,7 @@ impl Memory {
         let map =
             |level: usize, channels: usize| batch * (height >> level) * (width >> level) * channels;
         Ok(Self {
-            weights: (weights + laid_out) * Self::FLOAT,
-            compact_weights: weights * HALF + laid_out * Self::FLOAT,
+            weights: footprint.bytes(weights) + laid_out * Self::FLOAT,
             working: peak(config, batch, &map) * Self::FLOAT + Self::SCRATCH,
         })
     }
@@ -127,8 +126,8 @@ fn of_layer(layer: Layer, level: usize, map: &dyn Fn(usize, usize) -> usize) -> 
 mod tests {
     use super::*;
 
-    fn memory(groups: usize, frames: usize, side: usize) -> Memory {
-        Memory::new(&Config::released(), groups, frames, (side, side)).unwrap()
+    fn memory(groups: usize, frames: usize, footprint: Footprint) -> Memory {
+        Memory::new(&Config::released(), groups, frames, (64, 64), footprint).unwrap()
     }
 
     #[test]
@@ -139,18 +138,19 @@ mod tests {
         let skips = skips + 1920 * 640 + 1280 * 640 + 960 * 640 + 960 * 320 + 2 * 640 * 320;
         let halving = 9 * (320 * 320 + 640 * 640 + 1280 * 1280);
         let laid_out = skips + halving + 9 * (9 + 4) * 320;
-        let memory_of = memory(1, 5, 64);
-        assert_eq!(memory_of.weights, 4 * (865_925_124 + laid_out));
-        assert_eq!(memory_of.compact_weights, 2 * 865_925_124 + 4 * laid_out);
+        for bytes in [2, 4] {
+            let weights = memory(1, 5, Footprint::Owned(bytes)).weights;
+            assert_eq!(weights, bytes * 865_925_124 + 4 * laid_out);
+        }
         // Less than the original's, whose hidden layer exists for all frames at once: 1.2 GiB.
-        let working = memory(2, 5, 64).working as f64 / f64::from(1 << 30);
+        let working = memory(2, 5, Footprint::default()).working as f64 / f64::from(1 << 30);
         assert!((0.4..1.2).contains(&working), "{working}");
     }
 
     #[test]
     fn memory_grows_with_the_frames() {
-        let [one, two, four] =
-            [(1, 5), (2, 5), (2, 10)].map(|(groups, frames)| memory(groups, frames, 64).working);
+        let working = |groups, frames| memory(groups, frames, Footprint::default()).working;
+        let [one, two, four] = [working(1, 5), working(2, 5), working(2, 10)];
         assert!(one < two && two < four);
         assert!(four < 4 * one);
     }

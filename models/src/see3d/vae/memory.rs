@@ -5,20 +5,20 @@ use std::collections::BTreeMap;
 use candle_core::Result;
 
 use super::{Config, Decoder, Encoder, Tiling};
+use crate::Footprint;
 
 /// Estimated peak of memory of one half on any number of pictures, in bytes, without what the program
 /// itself needs and without the pictures and latents of others than the one at hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
-    /// The weights, in f32 (mapped pages of the file, or a widened copy), and those of a few convolutions
-    /// once more, as they are laid out.
+    /// The weights, and those of a few convolutions once more, as they are laid out.
     pub weights: usize,
     /// Everything else: the maps that are alive at once in the largest tile's largest block.
     pub working: usize,
 }
 
 impl Memory {
-    /// The memory to encode pictures of `height` x `width` pixels.
+    /// The memory to encode pictures of `height` x `width` pixels, with weights of this footprint.
     ///
     /// # Errors
     ///
@@ -28,8 +28,9 @@ impl Memory {
         config: &Config,
         (height, width): (usize, usize),
         tiling: Tiling,
+        footprint: Footprint,
     ) -> Result<Self> {
-        let weights = weights(&Encoder::tensors(config)?);
+        let weights = weights(&Encoder::tensors(config)?, footprint);
         let widths = &config.block_out_channels;
         let (rows, columns) = largest(&tiling.of_encoding(config)?.sizes((height, width)));
         let pixels = |level: usize| (rows >> level) * (columns >> level);
@@ -46,7 +47,7 @@ impl Memory {
         ))
     }
 
-    /// The memory to decode pictures of `height` x `width` pixels.
+    /// The memory to decode pictures of `height` x `width` pixels, with weights of this footprint.
     ///
     /// # Errors
     ///
@@ -55,8 +56,9 @@ impl Memory {
         config: &Config,
         (height, width): (usize, usize),
         tiling: Tiling,
+        footprint: Footprint,
     ) -> Result<Self> {
-        let weights = weights(&Decoder::tensors(config)?);
+        let weights = weights(&Decoder::tensors(config)?, footprint);
         let widths: Vec<usize> = config.block_out_channels.iter().rev().copied().collect();
         let latents = (height / config.scale(), width / config.scale());
         let (rows, columns) = largest(&tiling.of_decoding(config)?.sizes(latents));
@@ -81,7 +83,7 @@ impl Memory {
         // What convolutions hold while they run.
         const SCRATCH: usize = 48 << 20;
         Self {
-            weights: weights * size_of::<f32>(),
+            weights,
             working: maps * size_of::<f32>() + SCRATCH,
         }
     }
@@ -92,11 +94,13 @@ impl Memory {
     }
 }
 
-/// Numbers that stay while a network of these tensors is in memory.
-fn weights(tensors: &BTreeMap<String, Vec<usize>>) -> usize {
-    let of_tensor = |(name, shape): (&String, &Vec<usize>)| {
+/// Bytes that stay while a network of these tensors is in memory.
+fn weights(tensors: &BTreeMap<String, Vec<usize>>, footprint: Footprint) -> usize {
+    let (mut weights, mut laid_out) = (0, 0);
+    for (name, shape) in tensors {
         let count: usize = shape.iter().product();
-        let laid_out = match shape[..] {
+        weights += count;
+        laid_out += match shape[..] {
             // Transformed on the way, part by part.
             [outputs, inputs, 3, 3]
                 if outputs.min(inputs) >= 32 && !name.contains("downsamplers") =>
@@ -106,9 +110,8 @@ fn weights(tensors: &BTreeMap<String, Vec<usize>>) -> usize {
             [_, _, _, _] => count,
             _ => 0,
         };
-        count + laid_out
-    };
-    tensors.iter().map(of_tensor).sum()
+    }
+    footprint.bytes(weights) + laid_out * size_of::<f32>()
 }
 
 fn largest(tiles: &[(usize, usize)]) -> (usize, usize) {
@@ -138,7 +141,9 @@ mod tests {
     #[test]
     fn the_released_network() {
         let config = Config::released();
-        let decoding = |side, tiling| Memory::of_decoding(&config, (side, side), tiling).unwrap();
+        let footprint = Footprint::default();
+        let decoding =
+            |side, tiling| Memory::of_decoding(&config, (side, side), tiling, footprint).unwrap();
         // Of 49 490 199 numbers, the first and the last convolution and those of single pixels are laid out.
         let half = decoding(512, Tiling::Released);
         let laid_out = 512 * 256 + 256 * 128 + 4 * 4 + 9 * (4 * 512 + 128 * 3);
@@ -150,7 +155,7 @@ mod tests {
         let tiled = decoding(1024, Tiling::Tiles(512));
         assert_eq!(tiled.working - half.working, maps(1024, 3) - maps(512, 3));
         assert_eq!(half.total(), half.weights + half.working);
-        let encoding = Memory::of_encoding(&config, (512, 512), Tiling::Whole).unwrap();
+        let encoding = Memory::of_encoding(&config, (512, 512), Tiling::Whole, footprint).unwrap();
         assert_eq!(encoding.working, maps(512, 384 + 3) + (48 << 20));
     }
 }
