@@ -16,6 +16,8 @@
 
 mod attention;
 pub(in crate::nn) mod conv;
+#[cfg(test)]
+mod edges;
 mod elementwise;
 mod exchange;
 mod gemm;
