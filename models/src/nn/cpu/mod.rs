@@ -17,6 +17,8 @@
 mod allocation;
 mod attention;
 pub(in crate::nn) mod conv;
+#[cfg(test)]
+mod edges;
 mod elementwise;
 mod exchange;
 mod gemm;
