@@ -1,5 +1,6 @@
-//! How fast the networks run on this machine.
+//! How fast the networks, and the kernels that they spend their time in, run on this machine.
 
+mod kernels;
 mod mobilesamv2;
 mod mvdust3r;
 mod profile;
@@ -12,7 +13,6 @@ use crate::{
     progress::Progress,
 };
 use candle_core::{Device, Tensor};
-use clap::builder::PossibleValuesParser;
 pub use profile::ProfileRow;
 use serde::Serialize;
 use std::{str::FromStr, time::Instant};
@@ -28,13 +28,11 @@ use tid3r_models::{
 };
 use tid3r_weights_convert::{Config, Found, Network, synth};
 
-/// What is measured.
+pub use kernels::{KernelRow, check_kernels, run_kernels};
+
+/// How a network is measured.
 #[derive(Clone, Debug, PartialEq, clap::Args, Serialize)]
 pub struct BenchParams {
-    /// The network
-    #[arg(long, value_name = "NAME",
-          value_parser = PossibleValuesParser::new(Network::all().iter().map(|network| network.name)))]
-    pub model: String,
     /// Numbers of photos that MV-DUSt3R(+) sees at once [default: 2,4,8], or of frames that See3D's UNets
     /// denoise together [default: 3], each measured by itself
     #[arg(long, value_name = "N,..", value_delimiter = ',',
@@ -216,11 +214,11 @@ struct Trial {
 /// # Errors
 /// When the weights are of another network or damaged, or the network cannot run at this size.
 pub fn run(
+    network: &'static Network,
     params: &BenchParams,
     found: Option<&Found>,
     progress: &dyn Progress,
 ) -> Result<Vec<BenchRow>> {
-    let network = Network::named(&params.model)?;
     let threads = rayon::current_num_threads();
     let peak = measured_peak_flops(threads).map_err(failed)?;
     let source = Source::new(network, found, params.dtype, progress)?;

@@ -1,4 +1,4 @@
-//! `tid3r bench` on the networks of See3D.
+//! `tid3r bench` on the networks of See3D, and on single layers.
 
 use crate::Place;
 use serde_json::Value;
@@ -51,4 +51,21 @@ fn networks_of_see3d_are_measured() {
     let message =
         place.fail("-q bench --model see3d-single --weights models/see3d-sparse --size 64");
     assert!(message.contains("holds weights of See3D"), "{message}");
+}
+
+#[test]
+fn kernels_are_measured() {
+    let place = Place::new();
+    let rows = place.json("-q bench --kernels --runs 1 --json");
+    let rows = rows.as_array().unwrap();
+    assert!(rows.len() >= 12);
+    for row in rows {
+        for figure in ["milliseconds", "candle_milliseconds", "ratio", "floor"] {
+            assert!(row[figure].as_f64().unwrap() > 0.0, "{row}");
+        }
+    }
+    place.misuse("bench");
+    place.misuse("bench --kernels --model mvdust3r");
+    place.misuse("bench --kernels --size 64");
+    place.misuse("bench --model mvdust3r --check");
 }

@@ -4,7 +4,7 @@
 //! `inputs.safetensors` and `expected.safetensors`. Every case below `tests/fixtures/cases` is run,
 //! and every case below each folder in the environment variable `PARITY_CASES` (separated like
 //! `PATH`). A case of a module that is not listed in [`runner`] fails. `--nocapture` shows the figures of
-//! all tensors.
+//! all tensors. Networks with synthetic weights are computed in bf16, too, to a tolerance of its own.
 
 #![expect(clippy::print_stdout, reason = "figures are for whoever asks for them")]
 
@@ -26,6 +26,7 @@ use std::{
     path::{Path, PathBuf},
     process::ExitCode,
 };
+use tid3r_models::ComputeType;
 
 /// Computes what a case expects, and gives each tensor to the comparison.
 type Runner = fn(&Case, &mut Comparison) -> Result<()>;
@@ -75,21 +76,54 @@ fn trials_below(root: &Path, show: bool) -> Vec<Trial> {
     match found.with_context(|| root.display().to_string()) {
         Err(error) => vec![test(root, Box::new(|| Err(error)))],
         Ok(folders) => {
-            let trial = |folder: PathBuf| {
+            let trials = |folder: PathBuf| {
                 let below = folder.strip_prefix(root).unwrap_or(&folder).to_path_buf();
                 // A root can be a case itself.
                 let is_root = below.as_os_str().is_empty();
                 let name = if is_root { root } else { &below };
-                test(name, Box::new(move || run(&folder, show)))
+                let types = match Case::load(&folder) {
+                    Ok(case) if in_bf16(&case) => &ComputeType::ALL[..],
+                    _ => &[ComputeType::F32],
+                };
+                let trial = |&compute_type: &ComputeType| {
+                    let folder = folder.clone();
+                    let name = match compute_type {
+                        ComputeType::F32 => name.to_path_buf(),
+                        ComputeType::Bf16 => name.join("bf16"),
+                    };
+                    test(&name, Box::new(move || run(&folder, compute_type, show)))
+                };
+                types.iter().map(trial).collect::<Vec<_>>()
             };
-            folders.into_iter().map(trial).collect()
+            folders.into_iter().flat_map(trials).collect()
         }
     }
 }
 
+/// Whether a case is computed in bf16, too.
+fn in_bf16(case: &Case) -> bool {
+    const NETWORKS: [&str; 14] = [
+        "mvdust3r",
+        "encoder_block",
+        "decoder_block",
+        "efficientvit_sam",
+        "efficientvit_l2",
+        "object_aware_yolov8",
+        "sam_vit",
+        "sam_vit_h",
+        "tiny_vit",
+        "mask_decoder",
+        "AutoencoderKL",
+        "CLIPTextModel",
+        "CLIPVisionModelWithProjection",
+        "MultiViewUNetModel",
+    ];
+    case.has_synthetic_weights() && NETWORKS.contains(&case.model())
+}
+
 /// Runs the case in `folder`; `show` its figures.
-fn run(folder: &Path, show: bool) -> Result<()> {
-    let case = Case::load(folder)?;
+fn run(folder: &Path, compute_type: ComputeType, show: bool) -> Result<()> {
+    let case = Case::load(folder)?.in_type(compute_type);
     let runner = runner(case.model())
         .with_context(|| format!("no test knows the module `{}`", case.model()))?;
     let mut comparison = Comparison::new(&case);

@@ -85,7 +85,12 @@ fn masked(
 }
 
 /// Attention by candle's own operations.
-fn plain(q: &Tensor, memories: &[Memory], heads: usize, mask: Option<&[f32]>) -> Result<Tensor> {
+pub(super) fn plain(
+    q: &Tensor,
+    memories: &[Memory],
+    heads: usize,
+    mask: Option<&[f32]>,
+) -> Result<Tensor> {
     let (batch, queries, channels) = q.dims3()?;
     if heads == 0 || !channels.is_multiple_of(heads) {
         bail!("{channels} channels cannot be shared among {heads} heads");

@@ -74,7 +74,7 @@ impl GroupNorm {
     }
 
     /// The same by candle's own operations, at least in f32.
-    fn plain(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+    pub(super) fn plain(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
         let (batch, channels) = (x.dim(0)?, self.channels());
         let wide = match x.dtype() {
             DType::F64 => DType::F64,

@@ -49,7 +49,7 @@ impl LayerNorm {
     }
 
     /// The normalisation by candle's own operations.
-    fn plain(&self, x: &Tensor) -> Result<Tensor> {
+    pub(super) fn plain(&self, x: &Tensor) -> Result<Tensor> {
         let centred = x.broadcast_sub(&x.mean_keepdim(D::Minus1)?)?;
         let variance = centred.sqr()?.mean_keepdim(D::Minus1)?;
         centred

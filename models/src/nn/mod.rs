@@ -14,6 +14,7 @@ mod block;
 mod by_head;
 #[cfg(test)]
 mod compact_tests;
+pub mod compare;
 mod conv;
 pub mod cpu;
 mod exchange;

@@ -126,6 +126,16 @@ fn resize<const N: usize>(
     }
 }
 
+/// [`resize_bilinear`] by candle's own operations.
+pub(super) fn plain_bilinear(x: &Tensor, [height, width]: [usize; 2]) -> Result<Tensor> {
+    let (_, from_height, from_width, _) = x.dims4()?;
+    let (rows, columns) = (
+        linear_taps(from_height, height),
+        linear_taps(from_width, width),
+    );
+    plain(x, &rows, &columns)
+}
+
 /// Resizing by candle's own operations, as a product of matrices for each axis.
 fn plain<const N: usize>(x: &Tensor, rows: &Taps<N>, columns: &Taps<N>) -> Result<Tensor> {
     let (batch, height, width, channels) = x.dims4()?;

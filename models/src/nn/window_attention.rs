@@ -93,7 +93,7 @@ pub fn window_attention(
 }
 
 /// Attention within windows by candle's own operations.
-fn plain(
+pub(super) fn plain(
     q: &Tensor,
     memory: &Memory,
     beyond: &Memory,

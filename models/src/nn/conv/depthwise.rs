@@ -149,7 +149,7 @@ impl DepthwiseConv2d {
     }
 
     /// The convolution by candle's own operations.
-    fn plain(&self, x: &Tensor) -> Result<Tensor> {
+    pub(in crate::nn) fn plain(&self, x: &Tensor) -> Result<Tensor> {
         let (weight, bias) = self.parameters.tensors()?;
         let (padding, channels) = (weight.dim(2)? / 2, weight.dim(0)?);
         x.permute((0, 3, 1, 2))?

@@ -362,7 +362,7 @@ impl Conv2d {
     }
 
     /// The convolution by candle's own operations.
-    fn plain(&self, x: &Tensor) -> Result<Tensor> {
+    pub(in crate::nn) fn plain(&self, x: &Tensor) -> Result<Tensor> {
         let (weight, bias) = self.parameters.tensors()?;
         let Steps {
             kernel,

@@ -47,16 +47,18 @@ impl Isa {
         let mut found = Vec::new();
         #[cfg(target_arch = "x86_64")]
         {
-            if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
-                if is_x86_feature_detected!("avx512bf16") && is_x86_feature_detected!("avx512bw") {
+            // A virtual machine may hide any of them.
+            let fused = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+            let wide = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq");
+            let half =
+                is_x86_feature_detected!("avx512bf16") && is_x86_feature_detected!("avx512bw");
+            if wide && fused {
+                if half {
                     found.push(Self(Kind::Avx512 { bf16: true }));
                 }
                 found.push(Self(Kind::Avx512 { bf16: false }));
             }
-            if is_x86_feature_detected!("avx2")
-                && is_x86_feature_detected!("fma")
-                && is_x86_feature_detected!("f16c")
-            {
+            if fused && is_x86_feature_detected!("f16c") {
                 found.push(Self(Kind::Avx2));
             }
         }

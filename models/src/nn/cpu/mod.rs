@@ -14,8 +14,11 @@
     reason = "vector instructions, inner loops without bounds checks, and shared output arrays"
 )]
 
+mod allocation;
 mod attention;
 pub(in crate::nn) mod conv;
+#[cfg(test)]
+mod edges;
 mod elementwise;
 mod exchange;
 mod gemm;
@@ -34,6 +37,7 @@ mod shared;
 mod simd;
 mod upscaling;
 
+pub use allocation::keep_freed_memory;
 pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
 pub use isa::Isa;
 pub use peak::measured_peak_flops;

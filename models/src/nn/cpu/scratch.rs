@@ -1,29 +1,27 @@
 //! Memory for intermediate values, kept for the next call.
 //!
 //! Fresh memory is slow: the system hands it out page by page when it is first touched, at a tenth
-//! of the speed at which memory already held is written.
+//! of the speed at which memory already held is written. So buffers are pooled.
+//!
+//! Where a tool watches over memory, that would hide what it looks for: a buffer from the pool may be larger than
+//! wanted, and holds plausible numbers. With Miri, or built with `--cfg tid3r_checked` for a sanitizer, each buffer is
+//! an allocation of its own, of exactly the wanted size, and full of NaN.
 
 use std::ops::{Deref, DerefMut};
-use std::sync::{Mutex, PoisonError};
 
-use super::shared::prefer_large_pages;
+#[cfg(any(miri, tid3r_checked))]
+mod exact;
+#[cfg(not(any(miri, tid3r_checked)))]
+mod pool;
 
-/// A cache line. Buffers are made of these so that vectors never straddle two lines.
-#[derive(Clone, Copy)]
-#[repr(C, align(64))]
-struct Line([f32; 16]);
-
-/// Unused buffers; at most [`KEPT`].
-static POOL: Mutex<Vec<Vec<Line>>> = Mutex::new(Vec::new());
-
-const KEPT: usize = 64;
-
-/// Lines that a buffer may have more than are wanted.
-const SPARE: usize = 1 << 12;
+#[cfg(any(miri, tid3r_checked))]
+use exact as memory;
+#[cfg(not(any(miri, tid3r_checked)))]
+use pool as memory;
 
 /// Numbers that are whatever the last user left, aligned to 64 bytes.
 pub(super) struct Scratch {
-    lines: Vec<Line>,
+    memory: memory::Memory,
     len: usize,
     /// Whether the memory is kept.
     pooled: bool,
@@ -32,15 +30,8 @@ pub(super) struct Scratch {
 impl Scratch {
     /// `len` numbers.
     pub(super) fn take(len: usize) -> Self {
-        let wanted = len.div_ceil(16);
-        let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
-        let best = (0..pool.len())
-            .filter(|&i| (wanted..=2 * wanted + SPARE).contains(&pool[i].len()))
-            .min_by_key(|&i| pool[i].len());
-        let lines = best.map(|i| pool.swap_remove(i));
-        drop(pool);
         Self {
-            lines: lines.unwrap_or_else(|| fresh(wanted)),
+            memory: memory::take(len),
             len,
             pooled: true,
         }
@@ -49,7 +40,7 @@ impl Scratch {
     /// `len` numbers, 0 at first, in memory of their own: for what stays.
     pub(super) fn own(len: usize) -> Self {
         Self {
-            lines: fresh(len.div_ceil(16)),
+            memory: memory::zeros(len),
             len,
             pooled: false,
         }
@@ -71,24 +62,10 @@ impl Scratch {
     }
 }
 
-/// Zeros.
-fn fresh(count: usize) -> Vec<Line> {
-    let mut lines = Vec::with_capacity(count);
-    prefer_large_pages(lines.as_mut_ptr(), count);
-    lines.resize(count, Line([0.0; 16]));
-    lines
-}
-
 impl Drop for Scratch {
     fn drop(&mut self) {
-        if !self.pooled {
-            return;
-        }
-        let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
-        pool.push(std::mem::take(&mut self.lines));
-        if pool.len() > KEPT {
-            let smallest = (0..pool.len()).min_by_key(|&i| pool[i].len());
-            smallest.map(|i| pool.swap_remove(i));
+        if self.pooled {
+            memory::give_back(std::mem::take(&mut self.memory));
         }
     }
 }
@@ -97,15 +74,15 @@ impl Deref for Scratch {
     type Target = [f32];
 
     fn deref(&self) -> &[f32] {
-        // SAFETY: lines are arrays of numbers without padding, at least `len` numbers in all.
-        unsafe { std::slice::from_raw_parts(self.lines.as_ptr().cast(), self.len) }
+        // SAFETY: the memory is numbers without padding, at least `len` in all.
+        unsafe { std::slice::from_raw_parts(self.memory.as_ptr().cast(), self.len) }
     }
 }
 
 impl DerefMut for Scratch {
     fn deref_mut(&mut self) -> &mut [f32] {
         // SAFETY: as above; the borrow is unique.
-        unsafe { std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.len) }
+        unsafe { std::slice::from_raw_parts_mut(self.memory.as_mut_ptr().cast(), self.len) }
     }
 }
 
@@ -114,13 +91,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn buffers_are_aligned_and_distinct() {
+    fn buffers_are_distinct() {
         let (mut a, mut b) = (Scratch::take(17), Scratch::take(17));
         a.fill(1.0);
         b.fill(2.0);
         assert!(a.iter().all(|&x| x == 1.0) && a.len() == 17);
-        assert_eq!(a.as_ptr().align_offset(64), 0);
         assert!(Scratch::take(0).is_empty());
         assert!(Scratch::own(33).iter().all(|&x| x == 0.0));
+    }
+
+    #[test]
+    fn parts_are_of_their_sizes() {
+        let sizes = [3, 0, 16, 17];
+        let mut scratch = Scratch::take_parts(sizes);
+        let parts = scratch.parts(sizes);
+        for (i, part) in parts.into_iter().enumerate() {
+            part.fill(i as f32);
+            assert_eq!(part.len(), sizes[i]);
+        }
+        let first = scratch.parts(sizes).map(|part| part.first().copied());
+        assert_eq!(first, [Some(0.0), None, Some(2.0), Some(3.0)]);
     }
 }

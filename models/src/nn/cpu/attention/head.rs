@@ -93,7 +93,8 @@ impl Head<'_> {
         let bias_room = bias_sizes.map(&mut part);
         values.fill(0.0);
         totals.fill(0.0);
-        greatest.fill(f32::NEG_INFINITY);
+        // Finite, so that a block of keys that are all masked weighs next to nothing, rather than NaN.
+        greatest.fill(f32::MIN);
         let mut sums = Sums {
             greatest,
             weights: totals,

@@ -269,11 +269,11 @@ impl<'a> Windows<'a> {
                     Some(edges) => {
                         let pixels = self.parts[0].pixels;
                         let whole = left >= before && left + kernel <= width + before;
-                        let pixel = |j: usize| pixels.pixel(line * width + left + j - before);
                         if whole {
-                            table.set(row, i, pixel(0).as_ptr());
+                            table.set(row, i, pixels.pointer(line * width + left - before));
                             continue;
                         }
+                        let pixel = |j: usize| pixels.pixel(line * width + left + j - before);
                         let start = (row * kernel + i) * row_size;
                         let copy = edges[start..][..row_size].chunks_exact_mut(inputs);
                         for (j, to) in copy.enumerate() {

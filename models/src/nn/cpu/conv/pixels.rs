@@ -85,6 +85,11 @@ impl<'a> Pixels<'a> {
         &self.data[index * self.stride..][..self.channels]
     }
 
+    /// Where a pixel begins. It can be read for its channels, and the pixels after it from there.
+    pub(super) fn pointer(&self, index: usize) -> *const f32 {
+        self.data[index * self.stride..].as_ptr()
+    }
+
     /// Those from `first` on, as a matrix of `count` rows.
     pub(super) fn matrix(&self, first: usize, count: usize) -> Result<Matrix<'a>> {
         let start = (first * self.stride).min(self.data.len());

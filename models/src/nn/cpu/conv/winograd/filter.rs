@@ -82,11 +82,10 @@ impl<T: Stored, const N: usize, const K: usize, const TAPS: usize> Task
                     taps[count..].fill(simd.splat(0.0));
                     for (i, line) in taps.iter_mut().enumerate().take(count) {
                         let filter = (outputs.start + column + i) * all + inputs.start + start;
+                        // Beyond the weights, where there are no more numbers.
+                        let from = weights.as_ptr().wrapping_add(filter * TAPS + at);
                         // SAFETY: these numbers of the filters of `some` inputs are inside.
-                        *line = unsafe {
-                            let from = weights.as_ptr().add(filter * TAPS + at);
-                            T::load_up_to(simd, from, numbers)
-                        };
+                        *line = unsafe { T::load_up_to(simd, from, numbers) };
                     }
                     simd.transpose(taps);
                 }
