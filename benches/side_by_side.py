@@ -7,8 +7,9 @@ had resident (for PyTorch from its start, libraries and construction included; f
 weights are open). Weights are random, of full size, and so are the inputs: speed depends on neither.
 The original computes in single precision, tid3r in what --dtype says. tid3r has its weights from a file, as its
 users do: that of --weights, or one that is made up first (in a folder that goes afterwards, unless --cache names
-one), in f32 or bf16 like the numbers that it computes with. MV-DUSt3R(+) sees pictures of 224x224, MobileSAMv2 of 1024x1024. See3D's UNet denoises
-one group of frames of 256x256 (32x32 latents), its VAE decodes 256x256, its CLIPs see one picture and one text.
+one), in f32 or bf16 like the numbers that it computes with. MV-DUSt3R(+) sees pictures of 224x224, MobileSAMv2 of
+1024x1024. See3D's UNet denoises one group of frames of 256x256 (32x32 latents), its VAE decodes
+256x256, its CLIPs see one picture and one text.
 
 Figures count on an idle machine only: other work slows the two sides by different factors. On Linux the
 script measures how many cores other processes kept busy during each run, and says so.
@@ -469,7 +470,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--tid3r", type=Path, required=True, help="the program, built with --release")
     parser.add_argument("--model", choices=MODELS, default="mvdust3r", metavar="NAME", help=", ".join(MODELS))
     parser.add_argument("--load", type=numbers, dest="loads", metavar="N,..", help="photos (4,8), boxes (100) or frames (3)")
-    parser.add_argument("--dtype", choices=["f32", "bf16"], default="f32", help="what tid3r computes with (default: f32)")
+    parser.add_argument("--dtype", choices=["f32", "bf16"], default="f32", help="of tid3r's numbers (default: f32)")
     weights = parser.add_mutually_exclusive_group()
     weights.add_argument("--weights", type=Path, metavar="FOLDER", help="weights of tid3r (default: made-up ones)")
     weights.add_argument("--cache", type=Path, metavar="FOLDER", help="where made-up weights stay for the next time")
