@@ -23,8 +23,11 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     terms.map(|(&a, &b)| f64::from(a) * f64::from(b)).sum()
 }
 
-/// Queries, tokens of each memory (of a batch of one, if so), and channels of a head.
-const SIZES: [(usize, &[(usize, bool)], usize); 8] = [
+/// Tokens of a memory, and whether they are the same for the whole batch.
+type Tokens = (usize, bool);
+
+/// Queries, memories, and channels of a head.
+const SIZES: [(usize, &[Tokens], usize); 8] = [
     (5, &[(9, false), (3, true)], 5),
     (1, &[(1, true)], 1),
     (4, &[(8, false)], 8),

@@ -100,8 +100,9 @@ impl<const BF16: bool> Simd for Avx512<BF16> {
         unsafe {
             let (even, odd) = match BF16 {
                 true => {
-                    let widened = |half| _mm512_cvtepu16_epi32(std::mem::transmute(half));
-                    let [even, odd] = [even, odd].map(|x| widened(_mm512_cvtneps_pbh(x)));
+                    let bits = |half| std::mem::transmute::<__m256bh, __m256i>(half);
+                    let [even, odd] =
+                        [even, odd].map(|x| _mm512_cvtepu16_epi32(bits(_mm512_cvtneps_pbh(x))));
                     (even, _mm512_slli_epi32::<16>(odd))
                 }
                 false => {

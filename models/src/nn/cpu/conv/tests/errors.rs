@@ -21,10 +21,10 @@ impl Way {
     fn bound(self, layer: &Layer) -> f64 {
         let taps = layer.steps.kernel * layer.steps.kernel;
         let (roundings, depth) = match self {
-            Self::Gathered | Self::Pairs | Self::Shifted => (1.5, layer.inputs * taps),
-            Self::Winograd(Scheme::F23) => (2.0, layer.inputs),
-            Self::Winograd(Scheme::F43 | Scheme::F25) => (4.0, layer.inputs),
-            Self::Winograd(_) => (100.0, layer.inputs),
+            Self::Gathered | Self::Pairs | Self::Shifted => (0.75, layer.inputs * taps),
+            Self::Winograd(Scheme::F23) => (1.0, layer.inputs),
+            Self::Winograd(Scheme::F43 | Scheme::F25) => (2.5, layer.inputs),
+            Self::Winograd(_) => (40.0, layer.inputs),
         };
         roundings * (depth as f64).sqrt() * f64::from(f32::EPSILON) / 2.0
     }
