@@ -3,6 +3,7 @@
 //! They are not kept: transformed, they take several times the memory of the weights, and reading
 //! that takes about as long as transforming them again next to where they are multiplied.
 
+use std::mem::MaybeUninit;
 use std::ops::Range;
 
 use super::transform::Transform;
@@ -90,7 +91,8 @@ impl<T: Stored, const N: usize, const K: usize, const TAPS: usize> Task
                     simd.transpose(taps);
                 }
                 for i in 0..some {
-                    let mut half = [[simd.splat(0.0); K]; N];
+                    // Zeros, which are all overwritten, would be set one after the other nevertheless.
+                    let mut half = [[MaybeUninit::<S::V>::uninit(); K]; N];
                     for j in 0..K {
                         let mut column = [simd.splat(0.0); K];
                         for (row, tap) in column.iter_mut().enumerate() {
@@ -99,13 +101,18 @@ impl<T: Stored, const N: usize, const K: usize, const TAPS: usize> Task
                         }
                         let column: [S::V; N] = transform.filter(simd, column);
                         for (row, &x) in half.iter_mut().zip(&column) {
-                            row[j] = x;
+                            row[j].write(x);
                         }
                     }
                     let place = panel + (start + i) * S::NR;
-                    for (r, row) in half.into_iter().enumerate() {
+                    for (r, half) in half.iter().enumerate() {
+                        let mut row = [simd.splat(0.0); K];
+                        for (x, half) in row.iter_mut().zip(half) {
+                            // SAFETY: written above, for all columns.
+                            *x = unsafe { half.assume_init_read() };
+                        }
                         let row: [S::V; N] = transform.filter(simd, row);
-                        for (j, x) in row.into_iter().enumerate() {
+                        for (j, &x) in row.iter().enumerate() {
                             // SAFETY: a vector of a panel's row at a point, as asserted.
                             unsafe { simd.store(to.add((r * N + j) * self.plane + place), x) };
                         }

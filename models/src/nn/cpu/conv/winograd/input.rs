@@ -1,5 +1,7 @@
 //! From images to transformed data.
 
+use std::mem::MaybeUninit;
+
 use super::output::Tile;
 use super::transform::Transform;
 use crate::nn::cpu::conv::{Images, Part};
@@ -126,7 +128,8 @@ unsafe fn block<S: Simd, const N: usize, const WHOLE: bool>(
     channel: usize,
     lanes: usize,
 ) {
-    let mut half = [[simd.splat(0.0); N]; N];
+    // Zeros, which are all overwritten, would be set one after the other nevertheless.
+    let mut half = [[MaybeUninit::<S::V>::uninit(); N]; N];
     for j in 0..N {
         let mut column = [simd.splat(0.0); N];
         for (x, row) in column.iter_mut().zip(window) {
@@ -135,12 +138,17 @@ unsafe fn block<S: Simd, const N: usize, const WHOLE: bool>(
         }
         let column = transform.data(simd, column);
         for (row, &x) in half.iter_mut().zip(&column) {
-            row[j] = x;
+            row[j].write(x);
         }
     }
-    for (i, row) in half.into_iter().enumerate() {
+    for (i, half) in half.iter().enumerate() {
+        let mut row = [simd.splat(0.0); N];
+        for (x, half) in row.iter_mut().zip(half) {
+            // SAFETY: written above, for all columns.
+            *x = unsafe { half.assume_init_read() };
+        }
         let row = transform.data(simd, row);
-        for (j, x) in row.into_iter().enumerate() {
+        for (j, &x) in row.iter().enumerate() {
             // SAFETY: as the caller promises.
             unsafe { simd.store_of::<WHOLE>(to.add((i * N + j) * plane), lanes, x) };
         }

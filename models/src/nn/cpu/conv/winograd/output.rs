@@ -1,5 +1,7 @@
 //! From products to images.
 
+use std::mem::MaybeUninit;
+
 use super::transform::Transform;
 use crate::nn::cpu::conv::{Epilogue, Images};
 use crate::nn::cpu::isa::{Isa, Task};
@@ -117,7 +119,8 @@ impl Outputs<'_> {
         lanes: usize,
     ) {
         let Images { height, width, .. } = self.images;
-        let mut half = [[simd.splat(0.0); N]; M];
+        // Zeros, which are all overwritten, would be set one after the other nevertheless.
+        let mut half = [[MaybeUninit::<S::V>::uninit(); N]; M];
         for j in 0..N {
             let mut column = [simd.splat(0.0); N];
             for (i, product) in column.iter_mut().enumerate() {
@@ -129,7 +132,7 @@ impl Outputs<'_> {
             }
             let column: [S::V; M] = self.transform.outputs(simd, column);
             for (row, &y) in half.iter_mut().zip(&column) {
-                row[j] = y;
+                row[j].write(y);
             }
         }
         let channels = self.epilogue.bias.len();
@@ -137,7 +140,12 @@ impl Outputs<'_> {
         let bias = self.epilogue.bias[first..first + lanes].as_ptr();
         // SAFETY: just made sure of.
         let bias = unsafe { simd.load_of::<WHOLE>(bias, lanes) };
-        for (i, row) in half.into_iter().enumerate().take(height - tile.top) {
+        for (i, half) in half.iter().enumerate().take(height - tile.top) {
+            let mut row = [simd.splat(0.0); N];
+            for (x, half) in row.iter_mut().zip(half) {
+                // SAFETY: written above, for all columns.
+                *x = unsafe { half.assume_init_read() };
+            }
             let pixels: [S::V; M] = self.transform.outputs(simd, row);
             let start = (tile.image * height + tile.top + i) * width + tile.left;
             for (j, &pixel) in pixels.iter().enumerate().take(width - tile.left) {
