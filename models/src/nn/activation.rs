@@ -99,7 +99,8 @@ mod tests {
                 for isa in Isa::available() {
                     let got = cpu::activation(isa, activation, &x).unwrap();
                     for (got, want) in got.to_vec1::<f32>().unwrap().iter().zip(&want) {
-                        let bound = 1e-7 + 3e-7 * want.abs();
+                        // SELU subtracts 1 from what may be next to it.
+                        let bound = 2e-7 + 3e-7 * want.abs();
                         prop_assert!((got - want).abs() < bound, "{isa}: {got} {want}");
                     }
                 }

@@ -16,7 +16,7 @@ pub struct Work {
 pub struct LayerWork {
     /// Convolutions as sums over their kernels.
     pub total: f64,
-    /// Of these, what fast convolutions save: 3x3 layers of stride 1 compute 36 products for 16 outputs
+    /// Of these, what fast convolutions save: 3x3 layers of stride 1 compute 36 products for 16 outputs, or fewer,
     /// instead of 144.
     pub saved: f64,
 }

@@ -31,7 +31,7 @@ pub enum Precision {
     /// As exact as sums of f32 are, that is, up to 1e-6; for 5x5 kernels up to 3e-6.
     #[default]
     Exact,
-    /// Fewer multiplications: up to 3e-6 for 3x3 kernels, up to 1e-4 for 5x5 kernels. Others, and those of
+    /// Fewer multiplications: up to 1e-5 for 3x3 kernels, up to 1e-4 for 5x5 kernels. Others, and those of
     /// images of a few pixels, are exact.
     Fast,
 }

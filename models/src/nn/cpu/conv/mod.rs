@@ -146,10 +146,15 @@ impl Convolution {
     ) -> Result<Self> {
         // Below, what is saved goes into transforms.
         const CHANNELS_FOR_WINOGRAD: usize = 32;
+        // Above, too few tiles of so many points are transformed at a time.
+        const INPUTS_FOR_F63: usize = 256;
         let kernel = filter.steps.kernel;
         let schemes: &[Scheme] = match (kernel, fast) {
             _ if filter.steps != Steps::around(kernel, 1) => &[],
             (3, false) => &[Scheme::F23],
+            (3, true) if filter.inputs() <= INPUTS_FOR_F63 => {
+                &[Scheme::F23, Scheme::F43, Scheme::F63]
+            }
             (3, true) => &[Scheme::F23, Scheme::F43],
             (5, false) => &[Scheme::F25],
             (5, true) => &[Scheme::F25, Scheme::F65],

@@ -35,7 +35,13 @@ impl Way {
 
     /// All ways of a kernel.
     fn of_kernel(kernel: usize) -> Vec<Self> {
-        let schemes = [Scheme::F23, Scheme::F43, Scheme::F25, Scheme::F65];
+        let schemes = [
+            Scheme::F23,
+            Scheme::F43,
+            Scheme::F63,
+            Scheme::F25,
+            Scheme::F65,
+        ];
         let fitting = schemes.into_iter().filter(|scheme| scheme.taps == kernel);
         [Self::Gathered, Self::Shifted]
             .into_iter()
@@ -50,6 +56,7 @@ impl Way {
             Self::Gathered | Self::Pairs | Self::Shifted => 1e-6,
             Self::Winograd(Scheme::F23) => 1e-6,
             Self::Winograd(Scheme::F43 | Scheme::F25) => 3e-6,
+            Self::Winograd(Scheme::F63) => 1e-5,
             Self::Winograd(_) => 1e-4,
         }
     }

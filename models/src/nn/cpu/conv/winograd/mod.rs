@@ -3,7 +3,7 @@
 //! The image is cut into tiles of `m` x `m` outputs. The `n` x `n` data of a tile are transformed,
 //! multiplied with the transformed filters (a product of matrices for each of the `n^2` points, tiles
 //! x inputs x outputs), and transformed back. F(6x6, 5x5) multiplies 100 times where the definition
-//! multiplies 900 times, F(4x4, 3x3) 36 times for 144.
+//! multiplies 900 times, F(4x4, 3x3) 36 times for 144, F(6x6, 3x3) 64 times for 324.
 //!
 //! As many tiles as leave their transformed data in the last level of cache are processed at a time.
 //! A task is some outputs of all these: it transforms their filters, part by part, multiplies with each
@@ -144,6 +144,7 @@ impl Winograd {
             match (scheme.products(), scheme.outputs) {
                 (4, 2) => layer.run::<4, 2, 3, 9>(x),
                 (6, 4) => layer.run::<6, 4, 3, 9>(x),
+                (8, 6) => layer.run::<8, 6, 3, 9>(x),
                 (6, 2) => layer.run::<6, 2, 5, 25>(x),
                 (10, 6) => layer.run::<10, 6, 5, 25>(x),
                 sizes => bail!("no scheme of Winograd's has these sizes: {sizes:?}"),

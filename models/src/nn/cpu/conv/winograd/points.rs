@@ -25,6 +25,8 @@ impl Scheme {
     /// 3.3e-6 on normally distributed numbers): the nearer to 1 in size, the less the powers of a
     /// point differ, but the nearer to each other, the less the points tell apart.
     pub(in crate::nn::cpu::conv) const F43: Self = Self::new(4, 3, &[(2, 3), (3, 2)]);
+    /// F(6, 3), with the smallest error of small fractions: 5e-6.
+    pub(in crate::nn::cpu::conv) const F63: Self = Self::new(6, 3, &[(1, 2), (1, 1), (2, 1)]);
     /// F(2, 5).
     pub(in crate::nn::cpu::conv) const F25: Self = Self::new(2, 5, &[(2, 3), (3, 2)]);
     /// F(6, 5). These points, too, have the smallest error of those of small fractions.
@@ -112,7 +114,13 @@ mod tests {
     use super::*;
 
     /// All schemes that layers use.
-    const ALL: [Scheme; 4] = [Scheme::F23, Scheme::F43, Scheme::F25, Scheme::F65];
+    const ALL: [Scheme; 5] = [
+        Scheme::F23,
+        Scheme::F43,
+        Scheme::F63,
+        Scheme::F25,
+        Scheme::F65,
+    ];
 
     #[test]
     fn f23_by_hand() {

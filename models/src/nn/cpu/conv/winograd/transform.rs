@@ -167,6 +167,7 @@ mod tests {
     fn like_the_matrices() {
         check::<4, 2, 3>(Scheme::F23);
         check::<6, 4, 3>(Scheme::F43);
+        check::<8, 6, 3>(Scheme::F63);
         check::<6, 2, 5>(Scheme::F25);
         check::<10, 6, 5>(Scheme::F65);
     }
