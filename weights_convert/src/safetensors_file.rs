@@ -20,6 +20,10 @@ use crate::hash::Hashing;
 use crate::stored::StoredTensor;
 use crate::{Error, Result, TensorSpec};
 
+/// Bytes that are written at a time. Systems cache a file in pieces as large as it was written in, and large ones
+/// come back into a process, when weights are used again, at a tenth of the cost.
+const PIECE: usize = 4 << 20;
+
 /// The longest header that is read. That of MV-DUSt3R+ has 0.15 MB.
 const MOST_HEADER_BYTES: u64 = 8 << 20;
 
@@ -51,7 +55,7 @@ pub(crate) fn write(
         .map_err(Error::io("create a file for", path))?;
 
     let order = file_order(tensors);
-    let mut out = io::BufWriter::new(Hashing::new(temporary.as_file()));
+    let mut out = io::BufWriter::with_capacity(PIECE, Hashing::new(temporary.as_file()));
     write_header(&mut out, metadata, &order).map_err(Error::io("write", path))?;
     for (name, spec) in order {
         write_tensor(&mut out, name, spec)?;

@@ -3,6 +3,8 @@
 //! The first factor, the windows around all pixels, would be `kernel^2` times the image. It never exists:
 //! the product reads windows where they lie, piece by piece.
 
+use std::ops::Range;
+
 use candle_core::{Result, bail};
 use half::bf16;
 use rayon::prelude::*;
@@ -11,7 +13,7 @@ use super::{Epilogue, Filter, Images, Part, Pixels, Steps};
 use crate::nn::cpu::gemm::{Factor, Matrix, PackedFactor, Pieces, Scattered, Table};
 use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::scratch::Scratch;
-use crate::nn::cpu::shared::Shared;
+use crate::nn::cpu::shared::{Shared, filled};
 use crate::nn::cpu::simd::{Pair, Simd, Stored};
 
 /// Pixels of a task, a multiple of all tiles' rows: so many rows of windows stay in the second cache,
@@ -158,26 +160,34 @@ impl Gathered {
     /// # Errors
     ///
     /// If channels are odd in number.
-    fn rounded(&self, images: Images, part: &Part<'_>) -> Result<Scratch> {
-        let count = images.pixels() / (part.times * part.times);
-        let pixels = part.pixels.matrix(0, count)?;
-        let pairs = part.pixels.channels() / 2;
-        if part.pixels.channels() != 2 * pairs {
-            bail!("{} channels are no pairs", part.pixels.channels());
+    fn rounded(&self, images: Images, part: &Part<'_>) -> Result<Vec<f32>> {
+        let (pixels, channels) = (part.pixels, part.pixels.channels());
+        if !channels.is_multiple_of(2) {
+            bail!("{channels} channels are no pairs");
         }
-        let mut values = Scratch::take(count * pairs);
-        (values.par_chunks_mut(PIXELS * pairs.max(1)).enumerate()).for_each(|(i, to)| {
-            let from = pixels.rows_from(i * PIXELS, PIXELS);
-            self.isa.run_pairs(Round { from, to });
-        });
-        Ok(values)
+        let count = images.pixels() / (part.times * part.times);
+        let by_pixel = |to: *mut f32| {
+            let to = Shared(to);
+            (0..count.div_ceil(PIXELS)).into_par_iter().for_each(|i| {
+                let first = i * PIXELS;
+                self.isa.run_pairs(Round {
+                    pixels,
+                    some: first..(first + PIXELS).min(count),
+                    to: to.add(first * channels / 2),
+                });
+            });
+            Ok(())
+        };
+        // SAFETY: each pixel's pairs are written, side by side.
+        unsafe { filled(count * channels / 2, by_pixel) }
     }
 }
 
-/// Rounds pairs of numbers in all rows to bf16, and puts the rows side by side into `to`, which is as long.
+/// Rounds pairs of channels of some pixels to bf16, side by side to `to`.
 struct Round<'a> {
-    from: Matrix<'a>,
-    to: &'a mut [f32],
+    pixels: Pixels<'a>,
+    some: Range<usize>,
+    to: *mut f32,
 }
 
 impl Task for Round<'_> {
@@ -185,17 +195,16 @@ impl Task for Round<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let numbers = self.from.columns();
-        let rows = self.to.chunks_exact_mut((numbers / 2).max(1));
-        for (i, to) in rows.enumerate().take(self.from.rows()) {
-            let from = self.from.part_of_row(i, 0, numbers);
-            let parts = from.chunks(2 * S::LANES).zip(to.chunks_mut(S::LANES));
-            for (from, to) in parts {
-                // SAFETY: there are as many pairs as numbers to be written.
+        let mut to = self.to;
+        for pixel in self.some {
+            for numbers in self.pixels.pixel(pixel).chunks(2 * S::LANES) {
+                let count = numbers.len() / 2;
+                // SAFETY: that many pairs can be read, and written where whoever made this said.
                 unsafe {
-                    let pairs = Pair::load_up_to(simd, from.as_ptr().cast::<Pair<f32>>(), to.len());
-                    simd.store_up_to(to.as_mut_ptr(), to.len(), pairs);
+                    let pairs = Pair::load_up_to(simd, numbers.as_ptr().cast::<Pair<f32>>(), count);
+                    simd.store_up_to(to, count, pairs);
                 }
+                to = to.wrapping_add(count);
             }
         }
     }

@@ -118,12 +118,7 @@ impl<'a, T> Matrix<'a, T> {
     /// # Panics
     ///
     /// If they are not inside.
-    pub(in crate::nn::cpu) fn part_of_row(
-        &self,
-        row: usize,
-        start: usize,
-        count: usize,
-    ) -> &'a [T] {
+    pub(super) fn part_of_row(&self, row: usize, start: usize, count: usize) -> &'a [T] {
         &self.data[row * self.stride..][..self.columns][start..start + count]
     }
 
@@ -139,7 +134,7 @@ impl<'a, T> Matrix<'a, T> {
     }
 
     /// `count` rows from `start` on, as far as there are any.
-    pub(in crate::nn::cpu) fn rows_from(&self, start: usize, count: usize) -> Self {
+    pub(super) fn rows_from(&self, start: usize, count: usize) -> Self {
         let start = start.min(self.rows);
         let offset = (start * self.stride).min(self.data.len());
         Self {
