@@ -28,6 +28,7 @@ pub(super) enum Values {
     },
     Single(Arc<[f32]>),
     Rounded(Arc<[bf16]>),
+    Half(Arc<[f16]>),
     /// On a device that is no CPU.
     Device(Tensor),
 }
@@ -64,6 +65,7 @@ impl fmt::Debug for Values {
             Self::Mapped { kind, .. } => return write!(f, "mapped {kind:?}"),
             Self::Single(_) => "f32",
             Self::Rounded(_) => "bf16",
+            Self::Half(_) => "f16",
             Self::Device(_) => "on a device",
         })
     }
@@ -136,6 +138,7 @@ impl Parameter {
             }
             Values::Single(values) => Some(Numbers::F32(values)),
             Values::Rounded(values) => Some(Numbers::Bf16(values)),
+            Values::Half(values) => Some(Numbers::F16(values)),
             Values::Device(_) => None,
         }
     }
@@ -164,6 +167,20 @@ impl Parameter {
             shape: self.shape.clone(),
             values: Values::Rounded(values),
         })
+    }
+
+    /// The same rounded to f16, eight times as precisely as to bf16, if it is f32 in the CPU's memory and no value is
+    /// too large.
+    #[must_use]
+    pub(crate) fn halved(self) -> Self {
+        let fits = |values: &[f32]| values.par_iter().all(|x| x.abs() <= f16::MAX.to_f32());
+        let values = match self.values {
+            Values::Single(values) if fits(&values) => {
+                Values::Half(values.par_iter().map(|&x| f16::from_f32(x)).collect())
+            }
+            values => values,
+        };
+        Self { values, ..self }
     }
 
     /// The values in f32, row-major, if they are on the CPU.
@@ -211,7 +228,7 @@ impl Parameter {
     pub fn tensor(&self) -> Result<Tensor> {
         match &self.values {
             Values::Device(tensor) => Ok(tensor.clone()),
-            Values::Mapped { .. } | Values::Single(_) | Values::Rounded(_) => {
+            Values::Mapped { .. } | Values::Single(_) | Values::Rounded(_) | Values::Half(_) => {
                 let values = self.widened().unwrap_or_default();
                 Tensor::from_slice(&values, &self.shape[..], &Device::Cpu)
             }

@@ -81,8 +81,11 @@ impl Parameters {
             None => vec![0.0; outputs],
         };
         let Some(norm) = &self.norm else {
-            let weight = self.rounded(self.weight.clone())?;
-            return Some(Folded { weight, bias });
+            let weight = match self.compute_type {
+                ComputeType::F32 => self.weight.numbers().map(|_| self.weight.clone()),
+                ComputeType::Bf16 => self.weight.rounded(),
+            };
+            return weight.map(|weight| Folded { weight, bias });
         };
         let (scale, shift) = (norm.weight.host()?, norm.bias.host()?);
         let (mean, variance) = (norm.running_mean.host()?, norm.running_var.host()?);
@@ -98,16 +101,13 @@ impl Parameters {
             *bias = (centred * factor + f64::from(shift[i])) as f32;
         }
         self.weight.release();
-        let weight = self.rounded(Parameter::from_values(self.shape(), folded))?;
+        let weight = Parameter::from_values(self.shape(), folded);
+        let weight = match self.compute_type {
+            ComputeType::F32 => weight,
+            // In bf16, what is multiplied with will be rounded anyway, and is rounded once.
+            ComputeType::Bf16 => weight.halved(),
+        };
         Some(Folded { weight, bias })
-    }
-
-    /// `weight` in what is computed with, if it is on the CPU.
-    fn rounded(&self, weight: Parameter) -> Option<Parameter> {
-        match self.compute_type {
-            ComputeType::F32 => weight.numbers().is_some().then_some(weight),
-            ComputeType::Bf16 => weight.rounded(),
-        }
     }
 
     /// Weight and bias with the norm folded in, as candle's tensors, where they are.

@@ -142,44 +142,63 @@ fn enlarged_images_are_never_there() {
 #[test]
 fn channels_lie_in_parts() {
     for &[height, width, inputs, outputs] in sizes() {
-        let (small, large) = (images(2, height, width), images(2, 2 * height, 2 * width));
-        let channels = [inputs, 2, 1];
-        let [first, second] = [8, 9].map(|i| numbers(i, large.pixels() * channels[i as usize - 8]));
-        let third = numbers(10, small.pixels());
-        let enlarged = doubled(small, 1, &third);
-        let x = (0..large.pixels()).flat_map(|i| {
-            let of = |x: &[f32], channels: usize| x[i * channels..][..channels].to_vec();
-            [of(&first, inputs), of(&enlarged, 1), of(&second, 2)].concat()
-        });
-        for (kernel, stride) in [(1, 1), (3, 1), (3, 2)] {
-            let layer = Layer {
-                steps: Steps::around(kernel, stride),
-                x: x.clone().collect(),
-                ..Layer::random(11, large, inputs + 3, outputs, kernel)
-            };
-            let want = layer.want();
-            let filter = Filter {
-                weight: &layer.weight(),
-                steps: layer.steps,
-            };
-            let epilogue = Epilogue {
-                bias: &layer.bias,
-                activation: Activation::Identity,
-                residual: None,
-            };
-            let parts = [
-                Part::new(Pixels::new(&first, inputs)),
-                Part {
-                    pixels: Pixels::new(&third, 1),
-                    times: 2,
-                },
-                Part::new(Pixels::new(&second, 2)),
-            ];
-            for isa in Isa::available() {
-                let convolution = Way::Gathered.prepare(isa, filter);
-                let error = error(&layer.run_parts(&convolution, &parts, epilogue), &want);
-                assert!(error < 1e-6, "{isa} {kernel} {stride}: {error}");
-            }
+        parts_are_the_whole(Way::Gathered, [height, width], [inputs, 1, 2], outputs);
+        parts_are_the_whole(Way::Pairs, [height, width], [2 * inputs, 2, 4], outputs);
+    }
+}
+
+/// Checks convolutions of three parts of so many channels, the second of half the size in pixels.
+fn parts_are_the_whole(
+    way: Way,
+    [height, width]: [usize; 2],
+    channels: [usize; 3],
+    outputs: usize,
+) {
+    let (small, large) = (images(2, height, width), images(2, 2 * height, 2 * width));
+    let first = numbers(8, large.pixels() * channels[0]);
+    let second = numbers(9, small.pixels() * channels[1]);
+    let third = numbers(10, large.pixels() * channels[2]);
+    let enlarged = doubled(small, channels[1], &second);
+    let x = (0..large.pixels()).flat_map(|i| {
+        let of = |x: &[f32], channels: usize| x[i * channels..][..channels].to_vec();
+        [
+            of(&first, channels[0]),
+            of(&enlarged, channels[1]),
+            of(&third, channels[2]),
+        ]
+        .concat()
+    });
+    for (kernel, stride) in [(1, 1), (3, 1), (3, 2)] {
+        let layer = Layer {
+            steps: Steps::around(kernel, stride),
+            x: x.clone().collect(),
+            ..Layer::random(11, large, channels.iter().sum(), outputs, kernel)
+        };
+        let want = match way {
+            Way::Pairs => layer.rounded().want(),
+            _ => layer.want(),
+        };
+        let filter = Filter {
+            weight: &layer.weight(),
+            steps: layer.steps,
+        };
+        let epilogue = Epilogue {
+            bias: &layer.bias,
+            activation: Activation::Identity,
+            residual: None,
+        };
+        let parts = [
+            Part::new(Pixels::new(&first, channels[0])),
+            Part {
+                pixels: Pixels::new(&second, channels[1]),
+                times: 2,
+            },
+            Part::new(Pixels::new(&third, channels[2])),
+        ];
+        for isa in Isa::available() {
+            let convolution = way.prepare(isa, filter);
+            let error = error(&layer.run_parts(&convolution, &parts, epilogue), &want);
+            assert!(error < 1e-6, "{way:?} on {isa} {kernel} {stride}: {error}");
         }
     }
 }
