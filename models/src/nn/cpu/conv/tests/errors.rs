@@ -24,7 +24,7 @@ impl Way {
             Self::Gathered | Self::Pairs | Self::Shifted => (0.75, layer.inputs * taps),
             Self::Winograd(Scheme::F23) => (1.0, layer.inputs),
             Self::Winograd(Scheme::F43 | Scheme::F25) => (2.5, layer.inputs),
-            Self::Winograd(Scheme::F63) => (10.0, layer.inputs),
+            Self::Winograd(Scheme::F63) => (25.0, layer.inputs),
             Self::Winograd(_) => (40.0, layer.inputs),
         };
         roundings * (depth as f64).sqrt() * f64::from(f32::EPSILON) / 2.0
