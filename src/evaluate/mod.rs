@@ -9,7 +9,10 @@ pub mod instances;
 mod nearest;
 pub mod pointmaps;
 pub mod poses;
+mod refine_pose;
 pub mod scene;
+
+pub use refine_pose::{PoseGain, RefinedPose, refine_pose};
 
 use crate::Error;
 
