@@ -8,6 +8,7 @@ mod floor;
 mod focal;
 mod lens;
 mod pnp;
+mod similarity;
 mod warp;
 
 pub use camera::{Camera, Intrinsics, matrix4};
@@ -17,6 +18,7 @@ pub use lens::Lens;
 pub use pnp::{
     Correspondence, PnpError, PnpParams, PnpSolution, PoseFit, solve_pnp, solve_pnp_and_focal,
 };
+pub use similarity::{Similarity, SimilarityError};
 pub use warp::Warp;
 
 /// A point, in the frame and the units that the context says.
