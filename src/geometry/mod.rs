@@ -3,6 +3,7 @@
 //! Frames are OpenCV's throughout: x right, y down, z forward; pixel centres at whole coordinates;
 //! depth is z in the camera frame.
 
+mod align;
 mod camera;
 mod floor;
 mod focal;
@@ -11,6 +12,7 @@ mod pnp;
 mod similarity;
 mod warp;
 
+pub use align::{AlignmentError, AlignmentFit, CameraAlignment, align_cameras};
 pub use camera::{Camera, Intrinsics, matrix4};
 pub use floor::{SurfacePoint, floor_frame};
 pub use focal::{FocalError, estimate_focal, robust_focal};
