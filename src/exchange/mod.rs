@@ -1,4 +1,4 @@
 //! What other programs write and read: recordings in, point clouds out.
 
 pub mod ply;
-pub mod rgbd;
+pub mod recording;

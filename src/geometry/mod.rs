@@ -4,6 +4,7 @@
 //! depth is z in the camera frame.
 
 mod camera;
+mod distortion;
 mod floor;
 mod focal;
 mod lens;
@@ -11,6 +12,7 @@ mod pnp;
 mod warp;
 
 pub use camera::{Camera, Intrinsics, matrix4};
+pub use distortion::{DistortedLens, Distortion};
 pub use floor::{SurfacePoint, floor_frame};
 pub use focal::{FocalError, estimate_focal, robust_focal};
 pub use lens::Lens;

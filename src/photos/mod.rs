@@ -8,6 +8,7 @@ mod names;
 mod network_frame;
 mod opencv_resize;
 mod pillow_resize;
+mod undistort;
 
 pub use from_paths::{PHOTO_COUNT_LIMIT, photos_from_paths};
 pub use known_lens::KnownLens;
@@ -17,6 +18,7 @@ pub use network_frame::{
 };
 pub use opencv_resize::opencv_resize;
 pub use pillow_resize::{PillowFilter, pillow_resize};
+pub use undistort::undistorted;
 
 use crate::{Error, Result, geometry::Intrinsics};
 use fast_image_resize as fir;
@@ -85,26 +87,34 @@ impl Photo {
     /// When the file cannot be read or is no picture that tid3r can decode.
     pub fn load(&self) -> Result<RgbImage> {
         let bytes = fs::read(&self.path).map_err(Error::io("read", &self.path))?;
-        // The decoder fills up with grey what a JPEG lacks.
-        if image::guess_format(&bytes).is_ok_and(|format| format == ImageFormat::Jpeg)
-            && !jpeg::is_whole(&bytes)
-        {
-            return Err(unreadable(&self.path, "it is cut short"));
-        }
-        let decoded = ImageReader::new(Cursor::new(bytes))
-            .with_guessed_format()
-            .map_err(Error::io("read", &self.path))?
-            .into_decoder()
-            .and_then(|mut decoder| {
-                let orientation = decoder.orientation()?;
-                Ok((DynamicImage::from_decoder(decoder)?, orientation))
-            });
-        let (mut image, orientation) = decoded.map_err(|error| unreadable(&self.path, error))?;
-        if !self.as_stored {
-            image.apply_orientation(orientation);
-        }
-        Ok(image.into_rgb8())
+        decode(bytes, &self.path, self.as_stored)
     }
+}
+
+/// The pixels of a picture file's bytes, turned upright unless `as_stored`; `path` is for messages.
+///
+/// # Errors
+/// When they are no picture that tid3r can decode.
+pub(crate) fn decode(bytes: Vec<u8>, path: &Path, as_stored: bool) -> Result<RgbImage> {
+    // The decoder fills up with grey what a JPEG lacks.
+    if image::guess_format(&bytes).is_ok_and(|format| format == ImageFormat::Jpeg)
+        && !jpeg::is_whole(&bytes)
+    {
+        return Err(unreadable(path, "it is cut short"));
+    }
+    let decoded = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(Error::io("read", path))?
+        .into_decoder()
+        .and_then(|mut decoder| {
+            let orientation = decoder.orientation()?;
+            Ok((DynamicImage::from_decoder(decoder)?, orientation))
+        });
+    let (mut image, orientation) = decoded.map_err(|error| unreadable(path, error))?;
+    if !as_stored {
+        image.apply_orientation(orientation);
+    }
+    Ok(image.into_rgb8())
 }
 
 /// The error about a file that cannot be decoded.

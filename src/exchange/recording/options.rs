@@ -1,4 +1,4 @@
-use super::{FrameList, Lens};
+use super::{FrameList, Layout, Lens};
 use crate::parameters;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -7,9 +7,9 @@ use std::path::PathBuf;
 /// How to read an RGB-D recording.
 #[derive(Clone, Debug, PartialEq, Args, Serialize)]
 pub struct ImportOptions {
-    /// How the recording's folder is laid out.
-    #[arg(long, value_enum, default_value_t = ImportOptions::default().layout)]
-    pub layout: LayoutChoice,
+    /// How the recording's folder is laid out; if not given, it is found out.
+    #[arg(long, value_enum)]
+    pub layout: Option<Layout>,
 
     /// Lens of all photos, in pixels; replaces what the recording says.
     #[arg(long, value_name = "FX,FY,CX,CY", allow_hyphen_values = true)]
@@ -20,13 +20,14 @@ pub struct ImportOptions {
     #[arg(long, value_enum, value_name = "IMAGE")]
     pub intrinsics_for: Option<IntrinsicsImage>,
 
-    /// Depth values per metre: often 1000, for TUM recordings 5000. seven-scenes has 1000 by
-    /// default, color-depth needs it, npz has none.
+    /// Depth values per metre, where the recording's own or the layout's usual number is not right;
+    /// color-depth needs it, npz has none.
     #[arg(long, value_name = "UNITS", value_parser = parameters::positive)]
     pub depth_scale: Option<f64>,
 
-    /// File of camera poses, one line `tx ty tz qx qy qz qw` per photo (color-depth only); if not
-    /// given, pose.txt, poses.txt or trajectory.txt in the folder.
+    /// File of camera poses: for color-depth one line `tx ty tz qx qy qz qw` per photo (if not given,
+    /// pose.txt, poses.txt or trajectory.txt in the folder), for tum lines that begin with the time (if not
+    /// given, groundtruth.txt).
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
 
@@ -62,7 +63,7 @@ pub struct ImportOptions {
 impl Default for ImportOptions {
     fn default() -> Self {
         Self {
-            layout: LayoutChoice::Auto,
+            layout: None,
             intrinsics: None,
             intrinsics_for: None,
             depth_scale: None,
@@ -75,20 +76,6 @@ impl Default for ImportOptions {
             max_depth: None,
         }
     }
-}
-
-/// The layout that a user asks for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LayoutChoice {
-    /// Look at what the folder holds.
-    Auto,
-    /// frame-N.color.png, frame-N.depth.png, frame-N.pose.txt (7-Scenes, 3DMatch).
-    SevenScenes,
-    /// rgb/ and condition.npz.
-    Npz,
-    /// color/ (or rgb/), depth/ and a file of poses.
-    ColorDepth,
 }
 
 /// The image that intrinsics refer to.
@@ -129,7 +116,7 @@ mod tests {
              --depth-scale 1000 --frames 0-20:10 --test-frames 5 --max-depth 4",
         )
         .unwrap();
-        assert_eq!(options.layout, LayoutChoice::ColorDepth);
+        assert_eq!(options.layout, Some(Layout::ColorDepth));
         assert_eq!(options.intrinsics.unwrap().fx, -518.0);
         assert_eq!(options.intrinsics_for, Some(IntrinsicsImage::Depth));
         assert_eq!(options.depth_scale, Some(1000.0));
@@ -143,7 +130,7 @@ mod tests {
     #[test]
     fn bad_syntax_is_wrong_usage() {
         for arguments in [
-            "--layout tum",
+            "--layout kitti",
             "--intrinsics 1,2,3",
             "--intrinsics-for both",
             "--frames 9-3",

@@ -109,7 +109,7 @@ fn required(entry: &Entry, needs_depth: bool) -> Result<Chosen<'_>> {
     };
     if needs_depth && entry.depth.is_none() {
         return Err(Error::file(
-            &entry.photo,
+            entry.photo.path(),
             format!("frame {} has no depth image", entry.number),
             "do not ask for this frame, or hold it out with --test-frames",
         ));
@@ -207,9 +207,9 @@ fn abbreviated(numbers: &[u64]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exchange::rgbd::{
+    use crate::exchange::recording::{
         Lens,
-        listing::{DepthSource, PoseSource},
+        listing::{DepthSource, PhotoSource, PoseSource},
     };
 
     const IDENTITY: Rows = [
@@ -224,7 +224,7 @@ mod tests {
         let entry = |number| Entry {
             number,
             name: number.to_string(),
-            photo: format!("{number}.png").into(),
+            photo: PhotoSource::File(format!("{number}.png").into()),
             depth: (number != 40).then(|| DepthSource::Picture {
                 path: "depth.png".into(),
                 units_per_length: 1000.0,
@@ -235,7 +235,9 @@ mod tests {
                 fy: 585.0,
                 cx: 320.0,
                 cy: 240.0,
-            },
+            }
+            .into(),
+            depth_lens: None,
             lens_from: "k.txt".into(),
         };
         (0..100).map(|i| entry(10 * i)).collect()

@@ -3,7 +3,7 @@
 
 use super::{
     ImportOptions, Lens,
-    listing::{DepthSource, Entry, Listing, Pictures, PoseSource},
+    listing::{ArchiveKind, DepthSource, Entry, Listing, PhotoSource, Pictures, PoseSource},
     npy::{Array, ArrayHeader},
     pictures::SIDE_LIMIT,
     poses::Rows,
@@ -57,14 +57,16 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
         .map(|(index, (((photo, name), pose), lens))| Entry {
             number: photo.number,
             name,
-            photo: photo.path,
+            photo: PhotoSource::File(photo.path),
             depth: Some(DepthSource::Archive {
                 path: archive.path.clone(),
+                kind: ArchiveKind::Npz,
                 index,
                 size,
             }),
             pose: PoseSource::Known(archive.path.clone(), pose),
-            lens,
+            lens: lens.into(),
+            depth_lens: None,
             lens_from: archive.path.clone(),
         });
     Ok(Listing {

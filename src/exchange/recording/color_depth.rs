@@ -2,12 +2,14 @@
 
 use super::{
     ImportOptions,
-    listing::{DEPTH_ENDINGS, DepthSource, Entry, Listing, Picture, Pictures, PoseSource},
+    listing::{
+        DEPTH_ENDINGS, DepthSource, Entry, Listing, PhotoSource, Picture, Pictures, PoseSource,
+        depth_by_number,
+    },
     poses::{self, Rows},
 };
 use crate::{Error, Result, photos::PHOTO_ENDINGS};
 use std::{
-    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
 };
@@ -52,7 +54,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     };
     let poses_file = poses_file(folder, options)?;
     let poses = read_poses(&poses_file, &photos.files)?;
-    let mut depth = pair(&photos, depth, folder)?;
+    let mut depth = depth_by_number(&photos, depth, folder)?;
     let warnings = photos.warnings(&photos_folder);
     let names = photos.unique_names();
     let rows = photos.files.into_iter().zip(names).zip(poses);
@@ -65,51 +67,16 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
                 path,
                 units_per_length,
             }),
-        photo: photo.path,
+        photo: PhotoSource::File(photo.path),
         pose: PoseSource::Known(poses_file.clone(), pose),
-        lens,
+        lens: lens.into(),
+        depth_lens: None,
         lens_from: folder.to_path_buf(),
     });
     Ok(Listing {
         entries: entries.collect(),
         warnings,
     })
-}
-
-/// The depth picture of each photo, by the photo's number.
-fn pair(photos: &Pictures, depth: Pictures, folder: &Path) -> Result<BTreeMap<u64, PathBuf>> {
-    let by_number = photos.numbered && depth.numbered;
-    let same_stems = || {
-        let stems = photos.files.iter().map(|photo| &photo.stem);
-        stems.eq(depth.files.iter().map(|depth| &depth.stem))
-    };
-    // Places pair photos and depth only if no file is missing on either side; times of recording
-    // (TUM) differ between the two, and pairing those is not a matter of order.
-    if !by_number && !same_stems() {
-        return Err(Error::file(
-            folder,
-            "photos and depth pictures can be paired neither by numbers in their names nor by \
-             equal names",
-            "name each depth picture like its photo, for example color/0.png and depth/0.png",
-        ));
-    }
-    let pairs: BTreeMap<u64, PathBuf> = depth
-        .files
-        .into_iter()
-        .map(|Picture { number, path, .. }| (number, path))
-        .collect();
-    if !photos
-        .files
-        .iter()
-        .any(|photo| pairs.contains_key(&photo.number))
-    {
-        return Err(Error::file(
-            folder,
-            "no depth picture has the number of a photo",
-            "name each depth picture like its photo, for example color/0.png and depth/0.png",
-        ));
-    }
-    Ok(pairs)
 }
 
 fn poses_file(folder: &Path, options: &ImportOptions) -> Result<PathBuf> {

@@ -1,5 +1,7 @@
 //! The test room, recorded in every layout and read back.
 
+mod datasets;
+mod hostile;
 mod refusals;
 
 use super::{test_room::*, *};
@@ -36,11 +38,15 @@ fn color_depth(room: &Room) -> (TempDir, ImportOptions) {
 }
 
 fn open(folder: &TempDir) -> Result<Recording> {
-    Recording::open(folder.path(), &ImportOptions::default())
+    opened(folder, &ImportOptions::default())
+}
+
+fn opened(folder: &TempDir, options: &ImportOptions) -> Result<Recording> {
+    Recording::open(folder.path(), options, &folder.path().join("photos"))
 }
 
 fn frames(folder: &TempDir, options: &ImportOptions) -> Result<Vec<Frame>> {
-    let recording = Recording::open(folder.path(), options)?;
+    let recording = opened(folder, options)?;
     Ok(recording.reconstruct(&recording.inputs, &Silent)?.frames)
 }
 
@@ -113,7 +119,7 @@ fn npz_frames_lie_on_the_walls_in_either_order() {
 #[test]
 fn color_depth_frames_lie_on_the_walls() {
     let (folder, options) = color_depth(&small());
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert_eq!(recording.layout, Layout::ColorDepth);
     assert_eq!(names(&recording.inputs), ["1", "2", "10"]);
     let frames = recording
@@ -131,7 +137,7 @@ fn photos_come_back_in_the_order_asked_for() {
         test_frames: Some("10".parse().unwrap()),
         ..ImportOptions::default()
     };
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert_eq!(names(&recording.held_out), ["10"]);
     let twice = [
         &recording.inputs[..],
@@ -185,7 +191,7 @@ fn intrinsics_go_to_the_image_whose_centre_they_name() {
         intrinsics: Some(Lens { fx, fy, cx, cy }),
         ..ImportOptions::default()
     };
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert!(
         recording.warnings[0].contains("photos, whose centre"),
         "{:?}",
@@ -205,7 +211,7 @@ fn intrinsics_go_to_the_image_whose_centre_they_name() {
         "{message}"
     );
     options.intrinsics_for = Some(IntrinsicsImage::Photo);
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert_eq!(recording.warnings, [""; 0]);
 }
 
@@ -270,7 +276,7 @@ fn a_flipped_y_axis_mirrors_the_world_consistently() {
         }),
         ..ImportOptions::default()
     };
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert!(
         recording.warnings[0].contains("mirrored"),
         "{:?}",
@@ -314,7 +320,7 @@ fn mirrored_poses_are_refused_without_and_turned_with_a_flipped_axis() {
         }),
         ..ImportOptions::default()
     };
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert_eq!(recording.warnings, [""; 0]);
     let frames = recording
         .reconstruct(&recording.inputs, &Silent)
@@ -403,7 +409,7 @@ fn frames_without_depth_or_pose_are_left_out_unless_asked_for() {
         test_frames: "7".parse().ok(),
         ..ImportOptions::default()
     };
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     let frames = recording
         .reconstruct(&recording.held_out, &Silent)
         .unwrap()

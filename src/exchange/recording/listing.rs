@@ -1,7 +1,12 @@
-use super::poses::Rows;
-use crate::geometry::Lens;
+use super::{
+    packed::{PackedDepth, PackedPhoto},
+    pictures::PictureHeader,
+    poses::Rows,
+};
+use crate::geometry::{Distortion, Lens};
 use crate::{Error, Result, photos::natural_key};
 use std::{
+    collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
 };
@@ -21,15 +26,55 @@ pub(super) struct Entry {
     /// What the photo is called, unique in the recording.
     pub(super) name: String,
     /// The photo.
-    pub(super) photo: PathBuf,
+    pub(super) photo: PhotoSource,
     /// Its depth, if the recording has one.
     pub(super) depth: Option<DepthSource>,
     /// Its pose.
     pub(super) pose: PoseSource,
     /// Its lens.
-    pub(super) lens: Lens,
+    pub(super) lens: StatedLens,
+    /// The lens of the depth camera, where that has its own; it stands where the photo's does.
+    pub(super) depth_lens: Option<StatedLens>,
     /// The file that states the lens, or the recording if an option does; for messages.
     pub(super) lens_from: PathBuf,
+}
+
+/// A lens as a recording states it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct StatedLens {
+    pub(super) lens: Lens,
+    pub(super) distortion: Distortion,
+    /// The size of the image that the lens refers to, if that is stated.
+    pub(super) size: Option<[u32; 2]>,
+}
+
+impl From<Lens> for StatedLens {
+    fn from(lens: Lens) -> Self {
+        Self {
+            lens,
+            distortion: Distortion::None,
+            size: None,
+        }
+    }
+}
+
+/// Where the pixels of a photo are.
+#[derive(Clone, Debug)]
+pub(super) enum PhotoSource {
+    /// In a file of their own.
+    File(PathBuf),
+    /// In a larger file.
+    Packed(PackedPhoto),
+}
+
+impl PhotoSource {
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        match self {
+            Self::File(path) => path,
+            Self::Packed(packed) => &packed.part.path,
+        }
+    }
 }
 
 /// Where the depth of a photo is.
@@ -40,19 +85,41 @@ pub(super) enum DepthSource {
         path: PathBuf,
         units_per_length: f64,
     },
-    /// In the array `depths` of an archive, in scene units.
+    /// A part of a larger file.
+    Packed(PackedDepth),
+    /// In an archive that can only be read from its beginning, in scene units.
     Archive {
         path: PathBuf,
+        kind: ArchiveKind,
         index: usize,
         size: [u32; 2],
     },
 }
 
+/// The archives of depth maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ArchiveKind {
+    /// An `.npz` with the array `depths`.
+    Npz,
+    /// A `depth.bin` of ScanNet++ that was packed as a whole.
+    DepthBin,
+}
+
 impl DepthSource {
+    /// Width and height; reads the head of the file at most.
+    pub(super) fn size(&self) -> Result<[u32; 2]> {
+        match self {
+            Self::Picture { path, .. } => Ok(PictureHeader::read_depth(path)?.size),
+            Self::Packed(packed) => Ok(packed.size),
+            Self::Archive { size, .. } => Ok(*size),
+        }
+    }
+
     /// The file.
     pub(super) fn path(&self) -> &Path {
         match self {
             Self::Picture { path, .. } | Self::Archive { path, .. } => path,
+            Self::Packed(packed) => &packed.part.path,
         }
     }
 }
@@ -130,18 +197,27 @@ impl Pictures {
     /// A picture's number is the last one in its name, if these numbers rise all along the folder;
     /// fractions (`1305031102.175304`, a time) are no numbers.
     pub(super) fn list(folder: &Path, endings: &[&str]) -> Result<Self> {
+        Self::list_of(folder, "", endings)
+    }
+
+    /// The same, of those whose names begin with `prefix`.
+    pub(super) fn list_of(folder: &Path, prefix: &str, endings: &[&str]) -> Result<Self> {
         let mut found: Vec<(String, PathBuf)> = names(folder)?
             .into_iter()
             .filter_map(|name| {
                 let (stem, ending) = name.rsplit_once('.')?;
                 let wanted = endings.contains(&ending.to_ascii_lowercase().as_str());
+                let wanted = wanted && name.starts_with(prefix);
                 (wanted && !stem.is_empty()).then(|| (stem.to_string(), folder.join(&name)))
             })
             .collect();
         if found.is_empty() {
             return Err(Error::file(
                 folder,
-                format!("holds no picture ending in .{}", endings.join(", .")),
+                format!(
+                    "holds no picture {prefix}*.{}",
+                    endings.join(&format!(", {prefix}*."))
+                ),
                 "check that this is the recording's folder",
             ));
         }
@@ -183,6 +259,46 @@ impl Pictures {
         };
         self.files.iter().map(name).collect()
     }
+}
+
+/// The depth picture of each photo, by the photo's number.
+pub(super) fn depth_by_number(
+    photos: &Pictures,
+    depth: Pictures,
+    folder: &Path,
+) -> Result<BTreeMap<u64, PathBuf>> {
+    let by_number = photos.numbered && depth.numbered;
+    let same_stems = || {
+        let stems = photos.files.iter().map(|photo| &photo.stem);
+        stems.eq(depth.files.iter().map(|depth| &depth.stem))
+    };
+    // Places pair photos and depth only if no file is missing on either side; times of recording
+    // (TUM) differ between the two, and pairing those is not a matter of order.
+    if !by_number && !same_stems() {
+        return Err(Error::file(
+            folder,
+            "photos and depth pictures can be paired neither by numbers in their names nor by \
+             equal names",
+            "name each depth picture like its photo, for example color/0.png and depth/0.png",
+        ));
+    }
+    let pairs: BTreeMap<u64, PathBuf> = depth
+        .files
+        .into_iter()
+        .map(|Picture { number, path, .. }| (number, path))
+        .collect();
+    if !photos
+        .files
+        .iter()
+        .any(|photo| pairs.contains_key(&photo.number))
+    {
+        return Err(Error::file(
+            folder,
+            "no depth picture has the number of a photo",
+            "name each depth picture like its photo, for example color/0.png and depth/0.png",
+        ));
+    }
+    Ok(pairs)
 }
 
 fn last_number(stem: &str) -> Option<u64> {

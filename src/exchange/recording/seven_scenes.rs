@@ -3,7 +3,7 @@
 
 use super::{
     ImportOptions, Lens,
-    listing::{DepthSource, Entry, Listing, PoseSource, names},
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, names},
     poses,
 };
 use crate::{Error, Result};
@@ -48,7 +48,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     let entries = colour.into_iter().map(|(number, photo)| Entry {
         number,
         name: photo.split('.').next().unwrap_or(&photo).to_string(),
-        photo: folder.join(&photo),
+        photo: PhotoSource::File(folder.join(&photo)),
         depth: depth.remove(&number).map(|name| DepthSource::Picture {
             path: folder.join(name),
             units_per_length,
@@ -57,7 +57,8 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
             Some(name) => folder.join(name),
             None => folder.join(format!("frame-{number:06}.pose.txt")),
         }),
-        lens,
+        lens: lens.into(),
+        depth_lens: None,
         lens_from: lens_from.clone(),
     });
     Ok(Listing {

@@ -1,8 +1,14 @@
 //! A room of which everything is known, recorded in every layout.
 
+mod datasets;
+mod sens;
+
+pub(super) use datasets::DepthBinPacking;
+pub(super) use sens::SensOptions;
+
 use crate::{
     Map,
-    geometry::{Camera, Intrinsics, Point, Pose},
+    geometry::{Camera, Distortion, Intrinsics, Point, Pose},
 };
 use image::{DynamicImage, ImageEncoder, RgbImage, codecs::png::PngEncoder};
 use npyz::WriterBuilder;
@@ -17,6 +23,8 @@ pub(super) struct Room {
     pub(super) intrinsics: Intrinsics,
     /// Of the photos.
     pub(super) photo_intrinsics: Intrinsics,
+    /// Of both cameras.
+    pub(super) distortion: Distortion,
     pub(super) poses: [Pose; 3],
 }
 
@@ -35,6 +43,7 @@ impl Room {
         Self {
             intrinsics,
             photo_intrinsics: intrinsics.resized(enlarged * width, enlarged * height),
+            distortion: Distortion::None,
             poses: [
                 pose([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
                 pose([0.5, -0.2, 0.3], [0.1, 0.7, -0.05]),
@@ -58,12 +67,23 @@ impl Room {
         }
     }
 
+    /// Where a pinhole would have what the lens shows in pixel (x, y).
+    fn pinhole_point(&self, lens: &Intrinsics, x: u32, y: u32) -> [f64; 2] {
+        let bent = [
+            (f64::from(x) - lens.cx) / lens.fx,
+            (f64::from(y) - lens.cy) / lens.fy,
+        ];
+        let [a, b] = self.distortion.undistort(bent).unwrap();
+        [a * lens.fx + lens.cx, b * lens.fy + lens.cy]
+    }
+
     /// Metres.
     pub(super) fn depth(&self, view: usize) -> Map<f64> {
         let camera = self.camera(self.intrinsics, view);
         let Intrinsics { width, height, .. } = self.intrinsics;
         Map::from_fn(width, height, |x, y| {
-            Self::depth_at(&camera, x.into(), y.into())
+            let [u, v] = self.pinhole_point(&self.intrinsics, x, y);
+            Self::depth_at(&camera, u, v)
         })
     }
 
@@ -71,7 +91,7 @@ impl Room {
         let camera = self.camera(self.photo_intrinsics, view);
         let Intrinsics { width, height, .. } = self.photo_intrinsics;
         RgbImage::from_fn(width, height, |x, y| {
-            let (u, v) = (f64::from(x), f64::from(y));
+            let [u, v] = self.pinhole_point(&self.photo_intrinsics, x, y);
             let point = camera.unproject(u, v, Self::depth_at(&camera, u, v));
             image::Rgb(Self::colour(&point).map(|c| c.round() as u8))
         })

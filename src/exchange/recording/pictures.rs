@@ -13,7 +13,7 @@ use std::{
 /// Sides above this are taken for damage.
 pub(super) const SIDE_LIMIT: u32 = 16384;
 /// What depth cameras write where they see nothing (0) or nothing that fits 16 bits.
-const NO_DEPTH: [u16; 2] = [0, u16::MAX];
+pub(super) const NO_DEPTH: [u16; 2] = [0, u16::MAX];
 
 /// What the header of a picture says.
 pub(super) struct PictureHeader {
@@ -42,6 +42,15 @@ impl PictureHeader {
             orientation: orientation.map_err(|error| unreadable(path, &error))?,
             colour: decoder.original_color_type(),
         })
+    }
+
+    /// Of the pixels of a larger file, which has them as the sensor does.
+    pub(super) fn of_sensor(size: [u32; 2]) -> Self {
+        Self {
+            size,
+            orientation: Orientation::NoTransforms,
+            colour: ExtendedColorType::Rgb8,
+        }
     }
 
     /// Reads no pixels; refuses what cannot be a depth image.

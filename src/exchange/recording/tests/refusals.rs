@@ -69,7 +69,11 @@ fn what_is_missing_or_broken_is_named() {
     for layout in ["seven-scenes", "npz", "color-depth"] {
         assert!(message.contains(layout), "{message}");
     }
-    let nowhere = Recording::open(&folder().path().join("nowhere"), &default);
+    let nowhere = Recording::open(
+        &folder().path().join("nowhere"),
+        &default,
+        Path::new("photos"),
+    );
     assert!(
         nowhere
             .err()
@@ -139,7 +143,7 @@ fn color_depth_needs_lens_scale_and_a_pose_per_photo() {
         assert!(message.contains(word), "{message}");
     }
     fs::write(&poses, text.replace("\n0 0 0 0", "\nnan 0 0 0")).unwrap();
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert_eq!(names(&recording.inputs), ["2", "10"]);
 
     fs::rename(&poses, folder.path().join("elsewhere.txt")).unwrap();
@@ -148,7 +152,7 @@ fn color_depth_needs_lens_scale_and_a_pose_per_photo() {
         poses: Some(folder.path().join("elsewhere.txt")),
         ..options
     };
-    assert!(Recording::open(folder.path(), &elsewhere).is_ok());
+    assert!(opened(&folder, &elsewhere).is_ok());
 }
 
 #[test]
@@ -156,7 +160,7 @@ fn depth_pictures_are_paired_by_number_or_not_at_all() {
     let (folder, options) = color_depth(&small());
     let depth = |name: &str| folder.path().join("depth").join(name);
     fs::rename(depth("2.pgm"), depth("3.pgm")).unwrap();
-    let recording = Recording::open(folder.path(), &options).unwrap();
+    let recording = opened(&folder, &options).unwrap();
     assert_eq!(names(&recording.inputs), ["1", "10"]);
     for (from, to) in [
         ("1.pgm", "0.1.pgm"),
@@ -204,9 +208,9 @@ fn a_folder_of_two_layouts_needs_a_choice() {
     small().write_seven_scenes(folder.path());
     assert!(complaint(&folder, &options).contains("several layouts: seven-scenes, color-depth"));
     let chosen = ImportOptions {
-        layout: LayoutChoice::SevenScenes,
+        layout: Some(Layout::SevenScenes),
         depth_scale: None,
         ..options
     };
-    assert!(Recording::open(folder.path(), &chosen).is_ok());
+    assert!(opened(&folder, &chosen).is_ok());
 }

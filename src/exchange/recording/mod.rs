@@ -6,26 +6,34 @@
 //! mistakes show before any work is done.
 
 mod color_depth;
+mod depth_bin;
 mod frame_list;
 mod layout;
 mod listing;
 mod npy;
 mod npz;
 mod options;
+mod packed;
 mod pictures;
 mod poses;
 mod reduce;
+mod replica;
+mod resample;
+mod scannet;
+mod scannetpp_iphone;
 mod selection;
+mod sens;
 mod seven_scenes;
 #[cfg(test)]
 mod test_room;
 #[cfg(test)]
 mod tests;
+mod tum;
 mod view;
 
 pub use frame_list::FrameList;
 pub use layout::Layout;
-pub use options::{ImportOptions, IntrinsicsImage, LayoutChoice};
+pub use options::{ImportOptions, IntrinsicsImage};
 
 use crate::{
     Error, Map, Result,
@@ -35,7 +43,7 @@ use crate::{
     reconstruct::{Reconstruction, Reconstructor},
     scene::Frame,
 };
-use listing::DepthSource;
+use listing::{ArchiveKind, DepthSource};
 use rayon::prelude::*;
 use selection::{Chosen, Selection};
 use std::{
@@ -61,12 +69,15 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens the recording in `folder`.
+    /// Opens the recording in `folder` (or, of ScanNet, a `.sens` file).
+    ///
+    /// Photos that are no files of their own, or that have to be undistorted, are written into
+    /// `photos_folder` when they are read.
     ///
     /// # Errors
     /// When the folder has none of the layouts, a file that is needed is missing or damaged, what
     /// `options` ask for does not exist, or photo, depth, intrinsics and pose do not fit each other.
-    pub fn open(folder: &Path, options: &ImportOptions) -> Result<Self> {
+    pub fn open(folder: &Path, options: &ImportOptions, photos_folder: &Path) -> Result<Self> {
         if options
             .max_depth
             .is_some_and(|far| far <= options.min_depth)
@@ -86,8 +97,9 @@ impl Recording {
             .inputs
             .iter()
             .find_map(|chosen| chosen.entry.depth.as_ref());
-        let usual_depth_size = usual_depth.map_or(Ok([1, 1]), view::depth_size)?;
-        let settle = |chosen: &Chosen<'_>| View::new(chosen, usual_depth_size, options);
+        let usual_depth_size = usual_depth.map(DepthSource::size).transpose()?;
+        let settle =
+            |chosen: &Chosen<'_>| View::new(chosen, usual_depth_size, options, photos_folder);
         let chosen = selection.inputs.iter().chain(&selection.held_out);
         let views: Vec<View> = chosen.map(settle).collect::<Result<_>>()?;
         warnings.extend(mirror_warning(folder, &views)?);
@@ -173,12 +185,19 @@ fn archived_depths(views: &[&View]) -> Result<BTreeMap<usize, Map<f32>>> {
     let mut archive = None;
     let mut wanted = BTreeSet::new();
     for view in views {
-        if let Some(DepthSource::Archive { path, index, .. }) = &view.depth {
-            archive = Some(path);
+        if let Some(DepthSource::Archive {
+            path, kind, index, ..
+        }) = &view.depth
+        {
+            archive = Some((path, kind));
             wanted.insert(*index);
         }
     }
-    archive.map_or(Ok(BTreeMap::new()), |path| npz::read_depths(path, &wanted))
+    match archive {
+        None => Ok(BTreeMap::new()),
+        Some((path, ArchiveKind::Npz)) => npz::read_depths(path, &wanted),
+        Some((path, ArchiveKind::DepthBin)) => depth_bin::read_depths(path, &wanted),
+    }
 }
 
 /// All views must have gone through the same mirror, or they are not in one world.
