@@ -86,10 +86,10 @@ fn read(bytes: &[u8]) -> Result<PlyCloud, String> {
     Err("has no element 'vertex'".into())
 }
 
-fn broken(error: serde_ply::DeserializeError) -> String {
-    match error.0.kind() {
+fn broken(serde_ply::DeserializeError(error): serde_ply::DeserializeError) -> String {
+    match error.kind() {
         std::io::ErrorKind::UnexpectedEof => "is cut short".into(),
-        _ => format!("is no PLY file that can be read ({})", error.0),
+        _ => format!("is no PLY file that can be read ({error})"),
     }
 }
 
