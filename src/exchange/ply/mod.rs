@@ -1,8 +1,12 @@
-//! Point clouds as binary PLY files.
+//! Point clouds as PLY files: ours are written, those of any program are read.
 //!
 //! The format is G. Turk's "The PLY Polygon File Format" (1994). Properties have the names that
 //! MeshLab, CloudCompare, Open3D, trimesh and plyfile look for (`red`, `green`, `blue` as `uchar`);
 //! `instance` and `confidence` are extra properties, which readers that do not know them skip.
+
+mod read;
+
+pub use read::{PlyCloud, read_cloud};
 
 use crate::{
     Result,
