@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use tid3r::{
     exchange::recording::{ImportOptions, Recording},
     reconstruct::NewScene,
-    scene::{Scale, Scene, Stage, WriteLock},
+    scene::{Scene, Stage, WriteLock},
 };
 
 /// Make a scene from an RGB-D recording with known cameras.
@@ -41,11 +41,7 @@ impl Import {
             reconstructor: &recording,
             inputs: &recording.inputs,
             held_out: &recording.held_out,
-            scale: if recording.layout.is_metric() {
-                Scale::Metric
-            } else {
-                Scale::Relative
-            },
+            scale: recording.scale,
             parameters: serde_json::json!({
                 "recording": self.recording,
                 "options": self.options,

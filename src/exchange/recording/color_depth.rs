@@ -8,7 +8,7 @@ use super::{
     },
     poses::{self, Rows},
 };
-use crate::{Error, Result, photos::PHOTO_ENDINGS};
+use crate::{Error, Result, photos::PHOTO_ENDINGS, scene::Scale};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -76,6 +76,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     Ok(Listing {
         entries: entries.collect(),
         warnings,
+        scale: Scale::Metric,
     })
 }
 

@@ -1,6 +1,6 @@
 use super::{
-    ImportOptions, color_depth, listing::Listing, npz, replica, scannet, scannetpp_iphone, sens,
-    seven_scenes, tum,
+    ImportOptions, cameras, colmap, color_depth, listing::Listing, nerfstudio, npz, replica,
+    scannet, scannetpp_dslr, scannetpp_iphone, sens, seven_scenes, tum,
 };
 use crate::{Error, Result};
 use clap::ValueEnum;
@@ -27,14 +27,17 @@ pub enum Layout {
     Tum,
     /// Replica as in NICE-SLAM: results/, traj.txt, cam_params.json
     Replica,
+    /// ScanNet++ by DSLR: resized_undistorted_images/ or resized_images/, nerfstudio/, colmap/
+    ScannetppDslr,
+    /// nerfstudio's transforms.json, with depth or points
+    Nerfstudio,
+    /// A COLMAP model (sparse/0) and images/
+    Colmap,
+    /// Photos alone, their cameras given by --cameras
+    Cameras,
 }
 
 impl Layout {
-    /// Whether lengths are in metres.
-    pub fn is_metric(self) -> bool {
-        self != Self::Npz
-    }
-
     /// What users call it.
     fn name(self) -> String {
         let value = self.to_possible_value();
@@ -52,6 +55,10 @@ impl Layout {
             Self::ScannetppIphone => "rgb/, depth.bin and pose_intrinsic_imu.json",
             Self::Tum => "rgb.txt, depth.txt and groundtruth.txt",
             Self::Replica => "results/ and traj.txt",
+            Self::ScannetppDslr => "resized_images/, nerfstudio/ and colmap/",
+            Self::Nerfstudio => "transforms.json",
+            Self::Colmap => "sparse/0 and images/",
+            Self::Cameras => "photos, and --cameras",
         }
     }
 
@@ -65,15 +72,27 @@ impl Layout {
             Self::ScannetppIphone => scannetpp_iphone::fits(folder),
             Self::Tum => tum::fits(folder),
             Self::Replica => replica::fits(folder),
+            Self::ScannetppDslr => scannetpp_dslr::fits(folder),
+            Self::Nerfstudio => nerfstudio::fits(folder),
+            Self::Colmap => colmap::fits(folder),
+            // Recognised by the option.
+            Self::Cameras => false,
         })
     }
 
     /// Whether recordings of this layout have the folders of [`Layout::ColorDepth`] as well.
     fn refines_color_depth(self) -> bool {
-        matches!(self, Self::Scannet | Self::ScannetppIphone | Self::Tum)
+        matches!(
+            self,
+            Self::Scannet | Self::ScannetppIphone | Self::Tum | Self::Nerfstudio
+        )
     }
 
-    pub(super) fn recognise(path: &Path, choice: Option<Self>) -> Result<Self> {
+    pub(super) fn recognise(path: &Path, options: &ImportOptions) -> Result<Self> {
+        let choice = match &options.cameras {
+            Some(_) => options.layout.or(Some(Self::Cameras)),
+            None => options.layout,
+        };
         let is_sens = path.is_file() && path.extension().is_some_and(|ending| ending == "sens");
         if is_sens && choice.is_none_or(|choice| choice == Self::Sens) {
             return Ok(Self::Sens);
@@ -149,6 +168,18 @@ impl Layout {
         if self == Self::Npz {
             without("--depth-scale", options.depth_scale.is_some())?;
         }
+        let posed = [
+            Self::ScannetppDslr,
+            Self::Nerfstudio,
+            Self::Colmap,
+            Self::Cameras,
+        ];
+        if !posed.contains(&self) {
+            without("--points", options.points.is_some())?;
+        }
+        if self != Self::Cameras {
+            without("--cameras", options.cameras.is_some())?;
+        }
         match self {
             Self::SevenScenes => seven_scenes::list(folder, options),
             Self::Npz => npz::list(folder, options),
@@ -158,6 +189,16 @@ impl Layout {
             Self::ScannetppIphone => scannetpp_iphone::list(folder, options),
             Self::Tum => tum::list(folder, options),
             Self::Replica => replica::list(folder, options),
+            Self::ScannetppDslr => scannetpp_dslr::list(folder, options),
+            Self::Nerfstudio => nerfstudio::list(folder, options),
+            Self::Colmap => colmap::list(folder, options),
+            Self::Cameras => match &options.cameras {
+                Some(cameras) => cameras::list(folder, cameras, options),
+                None => Err(Error::request(
+                    "the layout cameras needs --cameras",
+                    "give cameras.json, transforms.json or the folder of a COLMAP model",
+                )),
+            },
         }
     }
 }

@@ -1,10 +1,11 @@
 use super::{
     packed::{PackedDepth, PackedPhoto},
     pictures::PictureHeader,
+    points::PointsFile,
     poses::Rows,
 };
 use crate::geometry::{Distortion, Lens};
-use crate::{Error, Result, photos::natural_key};
+use crate::{Error, Result, photos::natural_key, scene::Scale};
 use std::{
     collections::BTreeMap,
     fs,
@@ -17,6 +18,8 @@ pub(super) struct Listing {
     pub(super) entries: Vec<Entry>,
     /// What the user should know.
     pub(super) warnings: Vec<String>,
+    /// What the units are.
+    pub(super) scale: Scale,
 }
 
 /// One photo of a recording and where its geometry is.
@@ -94,6 +97,8 @@ pub(super) enum DepthSource {
         index: usize,
         size: [u32; 2],
     },
+    /// To be made from points.
+    Points(PointsFile),
 }
 
 /// The archives of depth maps.
@@ -106,13 +111,14 @@ pub(super) enum ArchiveKind {
 }
 
 impl DepthSource {
-    /// Width and height; reads the head of the file at most.
-    pub(super) fn size(&self) -> Result<[u32; 2]> {
-        match self {
-            Self::Picture { path, .. } => Ok(PictureHeader::read_depth(path)?.size),
-            Self::Packed(packed) => Ok(packed.size),
-            Self::Archive { size, .. } => Ok(*size),
-        }
+    /// Width and height, if it has a size of its own; reads the head of the file at most.
+    pub(super) fn size(&self) -> Result<Option<[u32; 2]>> {
+        Ok(match self {
+            Self::Picture { path, .. } => Some(PictureHeader::read_depth(path)?.size),
+            Self::Packed(packed) => Some(packed.size),
+            Self::Archive { size, .. } => Some(*size),
+            Self::Points(_) => None,
+        })
     }
 
     /// The file.
@@ -120,6 +126,7 @@ impl DepthSource {
         match self {
             Self::Picture { path, .. } | Self::Archive { path, .. } => path,
             Self::Packed(packed) => &packed.part.path,
+            Self::Points(points) => points.path(),
         }
     }
 }
@@ -202,7 +209,7 @@ impl Pictures {
 
     /// The same, of those whose names begin with `prefix`.
     pub(super) fn list_of(folder: &Path, prefix: &str, endings: &[&str]) -> Result<Self> {
-        let mut found: Vec<(String, PathBuf)> = names(folder)?
+        let found: Vec<(String, PathBuf)> = names(folder)?
             .into_iter()
             .filter_map(|name| {
                 let (stem, ending) = name.rsplit_once('.')?;
@@ -221,6 +228,11 @@ impl Pictures {
                 "check that this is the recording's folder",
             ));
         }
+        Ok(Self::of(found))
+    }
+
+    /// Pictures of these stems and paths, in order and with numbers.
+    pub(super) fn of(mut found: Vec<(String, PathBuf)>) -> Self {
         found.sort_by_cached_key(|(stem, path)| (natural_key(stem), path.clone()));
         let numbers: Option<Vec<u64>> = found.iter().map(|(stem, _)| last_number(stem)).collect();
         let numbers = numbers.filter(|numbers| numbers.is_sorted_by(|a, b| a < b));
@@ -228,10 +240,10 @@ impl Pictures {
         let numbers = numbers.unwrap_or_else(|| (0..found.len() as u64).collect());
         let files = found.into_iter().zip(numbers);
         let files = files.map(|((stem, path), number)| Picture { number, stem, path });
-        Ok(Self {
+        Self {
             files: files.collect(),
             numbered,
-        })
+        }
     }
 
     /// What users should know of the numbers.

@@ -5,21 +5,27 @@
 //! size per frame. Opening reads names, text and picture headers only and checks all it can, so most
 //! mistakes show before any work is done.
 
+mod cameras;
+mod colmap;
 mod color_depth;
 mod depth_bin;
 mod frame_list;
 mod layout;
 mod listing;
+mod nerfstudio;
 mod npy;
 mod npz;
 mod options;
 mod packed;
 mod pictures;
+mod points;
+mod posed;
 mod poses;
 mod reduce;
 mod replica;
 mod resample;
 mod scannet;
+mod scannetpp_dslr;
 mod scannetpp_iphone;
 mod selection;
 mod sens;
@@ -41,9 +47,10 @@ use crate::{
     photos::Photo,
     progress::Progress,
     reconstruct::{Reconstruction, Reconstructor},
-    scene::Frame,
+    scene::{Frame, Scale},
 };
 use listing::{ArchiveKind, DepthSource};
+use points::PointsFile;
 use rayon::prelude::*;
 use selection::{Chosen, Selection};
 use std::{
@@ -63,6 +70,8 @@ pub struct Recording {
     pub warnings: Vec<String>,
     /// The layout that the folder has.
     pub layout: Layout,
+    /// What the units are.
+    pub scale: Scale,
     /// Of the inputs, then the held out.
     views: Vec<View>,
     options: ImportOptions,
@@ -87,7 +96,7 @@ impl Recording {
                 "swap them or leave one out",
             ));
         }
-        let layout = Layout::recognise(folder, options.layout)?;
+        let layout = Layout::recognise(folder, options)?;
         let listing = layout.list(folder, options)?;
         let mut warnings = listing.warnings;
         let selection = Selection::choose(&listing.entries, folder, options)?;
@@ -97,7 +106,7 @@ impl Recording {
             .inputs
             .iter()
             .find_map(|chosen| chosen.entry.depth.as_ref());
-        let usual_depth_size = usual_depth.map(DepthSource::size).transpose()?;
+        let usual_depth_size = usual_depth.map_or(Ok(None), DepthSource::size)?;
         let settle =
             |chosen: &Chosen<'_>| View::new(chosen, usual_depth_size, options, photos_folder);
         let chosen = selection.inputs.iter().chain(&selection.held_out);
@@ -119,6 +128,7 @@ impl Recording {
             held_out,
             warnings,
             layout,
+            scale: listing.scale,
             views,
             options: options.clone(),
         })
@@ -146,11 +156,11 @@ impl Reconstructor for Recording {
             .map(|photo| self.view(photo))
             .collect::<Result<_>>()?;
         progress.begin("reading RGB-D frames", views.len());
-        let frames: Result<Vec<Frame>> = archived_depths(&views).and_then(|archived| {
+        let frames: Result<Vec<Frame>> = Shared::read(&views).and_then(|shared| {
             views
                 .par_iter()
                 .map(|view| {
-                    let frame = view.frame(&archived, &self.options)?;
+                    let frame = view.frame(&shared, &self.options)?;
                     self.check_depth(&frame, view)?;
                     progress.advance(1);
                     Ok(frame)
@@ -180,23 +190,41 @@ impl Recording {
     }
 }
 
-/// The depth maps that `views` need of the recording's archive, by their place in it.
-fn archived_depths(views: &[&View]) -> Result<BTreeMap<usize, Map<f32>>> {
-    let mut archive = None;
-    let mut wanted = BTreeSet::new();
-    for view in views {
-        if let Some(DepthSource::Archive {
-            path, kind, index, ..
-        }) = &view.depth
-        {
-            archive = Some((path, kind));
-            wanted.insert(*index);
+/// What several views have in common, read once.
+#[derive(Default)]
+struct Shared {
+    /// Depth maps of an archive, by their place in it.
+    archived: BTreeMap<usize, Map<f32>>,
+    /// The recording's points.
+    points: Vec<[f64; 3]>,
+}
+
+impl Shared {
+    /// What these views need.
+    fn read(views: &[&View]) -> Result<Self> {
+        let mut archive = None;
+        let mut wanted = BTreeSet::new();
+        let mut points = None;
+        for view in views {
+            match &view.depth {
+                Some(DepthSource::Archive {
+                    path, kind, index, ..
+                }) => {
+                    archive = Some((path, kind));
+                    wanted.insert(*index);
+                }
+                Some(DepthSource::Points(file)) => points = Some(file),
+                _ => {}
+            }
         }
-    }
-    match archive {
-        None => Ok(BTreeMap::new()),
-        Some((path, ArchiveKind::Npz)) => npz::read_depths(path, &wanted),
-        Some((path, ArchiveKind::DepthBin)) => depth_bin::read_depths(path, &wanted),
+        Ok(Self {
+            archived: match archive {
+                None => BTreeMap::new(),
+                Some((path, ArchiveKind::Npz)) => npz::read_depths(path, &wanted)?,
+                Some((path, ArchiveKind::DepthBin)) => depth_bin::read_depths(path, &wanted)?,
+            },
+            points: points.map_or(Ok(Vec::new()), PointsFile::load)?,
+        })
     }
 }
 

@@ -8,7 +8,7 @@ use super::{
     pictures::SIDE_LIMIT,
     poses::Rows,
 };
-use crate::{Error, Map, Result, photos::PHOTO_ENDINGS};
+use crate::{Error, Map, Result, photos::PHOTO_ENDINGS, scene::Scale};
 use npyz::npz::NpzArchive;
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -72,6 +72,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     Ok(Listing {
         entries: entries.collect(),
         warnings,
+        scale: Scale::Relative,
     })
 }
 

@@ -31,6 +31,16 @@ pub struct ImportOptions {
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
 
+    /// The cameras of the photos in a folder that holds nothing else: cameras.json, transforms.json, or the
+    /// folder of a COLMAP model.
+    #[arg(long, value_name = "FILE")]
+    pub cameras: Option<PathBuf>,
+
+    /// Points in the cameras' world that give the photos depth: a PLY file, or the folder of a COLMAP model
+    /// (nerfstudio, colmap, scannetpp-dslr, and with --cameras).
+    #[arg(long, value_name = "FILE")]
+    pub points: Option<PathBuf>,
+
     /// Photos to use, by the numbers in their names, as in 3,10,20-100:10 (20 to 100 in tens); the
     /// first may serve as the reference view.
     #[arg(long, value_name = "LIST")]
@@ -68,6 +78,8 @@ impl Default for ImportOptions {
             intrinsics_for: None,
             depth_scale: None,
             poses: None,
+            cameras: None,
+            points: None,
             frames: None,
             test_frames: None,
             max_frames: 20,

@@ -7,7 +7,11 @@ use super::{
     listing::{DepthSource, Entry, Listing, PhotoSource, Pictures, PoseSource, StatedLens},
     poses::{self, Rows},
 };
-use crate::{Error, Result, photos::PHOTO_ENDINGS, scene::files};
+use crate::{
+    Error, Result,
+    photos::PHOTO_ENDINGS,
+    scene::{Scale, files},
+};
 use serde::Deserialize;
 use std::{
     fs,
@@ -72,6 +76,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     Ok(Listing {
         entries: entries.collect(),
         warnings,
+        scale: Scale::Metric,
     })
 }
 

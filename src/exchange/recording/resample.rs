@@ -25,6 +25,20 @@ pub(super) fn resample(
     })
 }
 
+/// Makes depth unknown where the photo shows nothing; `depth` is that of the pinhole `grid`.
+pub(super) fn keep_seen(depth: &mut Map<f32>, photo: &DistortedLens, grid: &Intrinsics) {
+    for index in 0..depth.len() {
+        let (x, y) = depth.pixel(index);
+        let ray = [
+            (f64::from(x) - grid.cx) / grid.fx,
+            (f64::from(y) - grid.cy) / grid.fy,
+        ];
+        if photo.image_point(ray).is_none() {
+            depth.values_mut()[index] = 0.0;
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

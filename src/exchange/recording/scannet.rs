@@ -11,7 +11,7 @@ use super::{
     pictures::PictureHeader,
     poses,
 };
-use crate::{Error, Result, photos::PHOTO_ENDINGS};
+use crate::{Error, Result, photos::PHOTO_ENDINGS, scene::Scale};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -71,6 +71,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     Ok(Listing {
         entries: entries.collect(),
         warnings,
+        scale: Scale::Metric,
     })
 }
 

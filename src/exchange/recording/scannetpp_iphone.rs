@@ -10,7 +10,11 @@ use super::{
     },
     poses::Rows,
 };
-use crate::{Error, Result, photos::PHOTO_ENDINGS, scene::files};
+use crate::{
+    Error, Result,
+    photos::PHOTO_ENDINGS,
+    scene::{Scale, files},
+};
 use serde::Deserialize;
 use std::{
     collections::BTreeMap,
@@ -97,7 +101,11 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
             lens_from: cameras_file.clone(),
         });
     }
-    Ok(Listing { entries, warnings })
+    Ok(Listing {
+        entries,
+        warnings,
+        scale: Scale::Metric,
+    })
 }
 
 /// What finds the depth of a frame.

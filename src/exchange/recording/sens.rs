@@ -7,7 +7,7 @@ use super::{
     packed::{DepthPacking, PackedDepth, PackedPhoto, Part, PhotoPacking, checked_size},
     poses::Rows,
 };
-use crate::{Error, Result};
+use crate::{Error, Result, scene::Scale};
 use std::{
     fs::File,
     io::{self, BufReader, Read},
@@ -95,6 +95,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions) -> Result<Listing> {
     Ok(Listing {
         entries: entries.collect(),
         warnings: Vec::new(),
+        scale: Scale::Metric,
     })
 }
 

@@ -6,7 +6,7 @@ use super::{
     listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, names},
     poses,
 };
-use crate::{Error, Result};
+use crate::{Error, Result, scene::Scale};
 use std::{
     collections::BTreeMap,
     fs,
@@ -64,6 +64,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     Ok(Listing {
         entries: entries.collect(),
         warnings: Vec::new(),
+        scale: Scale::Metric,
     })
 }
 

@@ -13,6 +13,7 @@ use super::{
 use crate::{
     Error, Result,
     geometry::{Distortion, Pose, matrix4},
+    scene::Scale,
 };
 use std::{
     fs,
@@ -64,6 +65,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     Ok(Listing {
         entries: entries.collect(),
         warnings: Vec::new(),
+        scale: Scale::Metric,
     })
 }
 

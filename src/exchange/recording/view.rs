@@ -1,10 +1,11 @@
 use super::{
-    ImportOptions, IntrinsicsImage, Lens,
+    ImportOptions, IntrinsicsImage, Lens, Shared,
     listing::{DepthSource, Entry, PhotoSource},
     pictures::{PictureHeader, read_depth},
+    points::depth_of_points,
     poses,
     reduce::reduce,
-    resample::resample,
+    resample::{keep_seen, resample},
     selection::Chosen,
 };
 use crate::{
@@ -14,7 +15,7 @@ use crate::{
     scene::{Frame, files},
 };
 use image::{RgbImage, metadata::Orientation};
-use std::{collections::BTreeMap, path::Path};
+use std::path::Path;
 
 /// A depth image of more than this many times the photo's width is no measurement, but fills the
 /// memory.
@@ -58,7 +59,7 @@ impl View {
     ) -> Result<Self> {
         let entry = chosen.entry;
         let depth = match &entry.depth {
-            Some(depth) => Some(depth.size()?),
+            Some(depth) => depth.size()?,
             None => usual_depth_size,
         };
         let header = match &entry.photo {
@@ -126,53 +127,54 @@ impl View {
         })
     }
 
-    /// Decodes photo and depth; depth maps of an archive are handed in by their place there. A photo that
-    /// is no file of its own is written to one.
-    pub(super) fn frame(
-        &self,
-        archived: &BTreeMap<usize, Map<f32>>,
-        options: &ImportOptions,
-    ) -> Result<Frame> {
+    /// Decodes photo and depth. A photo that is no file of its own is written to one.
+    pub(super) fn frame(&self, shared: &Shared, options: &ImportOptions) -> Result<Frame> {
         let [width, height] = self.transform.frame_size;
-        let depth = match &self.depth {
-            Some(DepthSource::Picture {
-                path,
-                units_per_length,
-            }) => Some(read_depth(path, *units_per_length)?),
-            Some(DepthSource::Packed(packed)) => Some(packed.read()?),
-            Some(DepthSource::Archive { index, .. }) => archived.get(index).cloned(),
-            None => None,
-        };
-        let depth = match depth {
-            Some(mut depth) => {
-                keep_range(&mut depth, options);
-                let expected = self
-                    .depth_lens
-                    .map_or([self.grid.width, self.grid.height], |lens| {
-                        [lens.intrinsics.width, lens.intrinsics.height]
-                    });
-                if [depth.width(), depth.height()] != expected {
-                    return Err(Error::file(
-                        &self.photo.path,
-                        "the depth image has become another size",
-                        "do not change the recording while it is read",
-                    ));
-                }
-                if let Some(lens) = &self.depth_lens {
-                    depth = resample(&depth, lens, &self.photo_lens, &self.grid);
-                }
-                reduce(&depth, width, height)
-            }
-            None => Map::filled(width, height, 0.0),
-        };
         Ok(Frame {
             photo: self.photo.clone(),
             transform: self.transform,
             camera: self.camera,
             colour: self.transform.apply(&self.picture()?, self.source.path())?,
             confidence: Map::filled(width, height, 1.0),
-            depth,
+            depth: self.depth_map(shared, options)?,
         })
+    }
+
+    /// The frame's depth.
+    fn depth_map(&self, shared: &Shared, options: &ImportOptions) -> Result<Map<f32>> {
+        let [width, height] = self.transform.frame_size;
+        let stored = match &self.depth {
+            Some(DepthSource::Picture {
+                path,
+                units_per_length,
+            }) => Some(read_depth(path, *units_per_length)?),
+            Some(DepthSource::Packed(packed)) => Some(packed.read()?),
+            Some(DepthSource::Archive { index, .. }) => shared.archived.get(index).cloned(),
+            Some(DepthSource::Points(_)) => {
+                let mut depth = depth_of_points(&shared.points, &self.camera);
+                keep_range(&mut depth, options);
+                keep_seen(&mut depth, &self.photo_lens, &self.camera.intrinsics);
+                return Ok(depth);
+            }
+            None => None,
+        };
+        let Some(mut depth) = stored else {
+            return Ok(Map::filled(width, height, 0.0));
+        };
+        keep_range(&mut depth, options);
+        let lens = self.depth_lens.as_ref();
+        let expected = lens.map_or(&self.grid, |lens| &lens.intrinsics);
+        if (depth.width(), depth.height()) != (expected.width, expected.height) {
+            return Err(Error::file(
+                &self.photo.path,
+                "the depth image has become another size",
+                "do not change the recording while it is read",
+            ));
+        }
+        if let Some(lens) = lens {
+            depth = resample(&depth, lens, &self.photo_lens, &self.grid);
+        }
+        Ok(reduce(&depth, width, height))
     }
 
     /// The photo's pixels, without distortion; writes the photo's file if it is the scene's own.

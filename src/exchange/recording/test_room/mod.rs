@@ -1,6 +1,7 @@
 //! A room of which everything is known, recorded in every layout.
 
 mod datasets;
+mod posed;
 mod sens;
 
 pub(super) use datasets::DepthBinPacking;

@@ -2,6 +2,7 @@
 
 mod datasets;
 mod hostile;
+mod posed;
 mod refusals;
 
 use super::{test_room::*, *};
@@ -77,6 +78,46 @@ fn assert_on_walls(frames: &[Frame], metres: f64, levels: f64) {
             }
         }
     }
+}
+
+/// Most points are on a wall, and all are near one: depth between pixels is that of the nearest.
+fn assert_near_walls(frames: &[Frame], metres: f64, levels: f64) {
+    for frame in frames {
+        let (mut known, mut near) = (0, 0);
+        for index in 0..frame.depth.len() {
+            let Some(point) = frame.point(index) else {
+                continue;
+            };
+            known += 1;
+            near += usize::from(Room::wall_distance(&point) < metres);
+            assert!(Room::wall_distance(&point) < 4.0 * metres, "{point}");
+            let (x, y) = frame.depth.pixel(index);
+            let got = frame.colour.get_pixel(x, y).0;
+            for (got, want) in got.iter().zip(Room::colour(&point)) {
+                let off = (f64::from(*got) - want).abs();
+                assert!(off < levels, "{got} for {want} at {x}, {y}");
+            }
+        }
+        assert!(10 * known > 7 * frame.depth.len(), "{known} known");
+        assert!(10 * near > 9 * known, "{near} of {known}");
+    }
+}
+
+fn read(recording: &Recording) -> Vec<Frame> {
+    let frames = recording.reconstruct(&recording.inputs, &Silent);
+    frames.unwrap().frames
+}
+
+fn photos_written(folder: &TempDir) -> Vec<String> {
+    let mut names: Vec<String> = fs::read_dir(folder.path().join("photos"))
+        .map(|entries| {
+            entries
+                .map(|e| e.unwrap().file_name().into_string().unwrap())
+                .collect()
+        })
+        .unwrap_or_default();
+    names.sort();
+    names
 }
 
 fn names(photos: &[Photo]) -> Vec<&str> {
