@@ -135,15 +135,15 @@ impl Reconstructor for Recording {
             .collect::<Result<_>>()?;
         progress.begin("reading RGB-D frames", views.len());
         let frames: Result<Vec<Frame>> = archived_depths(&views).and_then(|archived| {
-            views
-                .par_iter()
-                .map(|view| {
-                    let frame = view.frame(&archived, &self.options)?;
-                    self.check_depth(&frame, view)?;
-                    progress.advance(1);
-                    Ok(frame)
-                })
-                .collect()
+            let read = |view: &&View| {
+                let frame = view.frame(&archived, &self.options)?;
+                self.check_depth(&frame, view)?;
+                progress.advance(1);
+                Ok(frame)
+            };
+            // All, so that the error is the first photo's and not the fastest thread's.
+            let frames: Vec<Result<Frame>> = views.par_iter().map(read).collect();
+            frames.into_iter().collect()
         });
         progress.end();
         Ok(frames?.into())
