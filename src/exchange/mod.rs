@@ -5,6 +5,7 @@
 
 pub mod cameras;
 pub mod colmap;
+pub mod glb;
 mod half_pixels;
 pub mod ply;
 pub mod recording;

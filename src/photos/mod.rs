@@ -61,13 +61,7 @@ impl Photo {
     /// # Errors
     /// When the file cannot be read or is no picture that tid3r can decode.
     pub fn size(&self) -> Result<[u32; 2]> {
-        let file = fs::File::open(&self.path).map_err(Error::io("read", &self.path))?;
-        let head = ImageReader::new(BufReader::new(file))
-            .with_guessed_format()
-            .map_err(Error::io("read", &self.path))?
-            .into_decoder()
-            .and_then(|mut decoder| Ok((decoder.orientation()?, decoder.dimensions())));
-        let (orientation, (width, height)) = head.map_err(|error| unreadable(&self.path, error))?;
+        let (orientation, (width, height)) = self.head()?;
         let is_turned = matches!(
             orientation,
             Orientation::Rotate90
@@ -79,6 +73,25 @@ impl Photo {
             true => [height, width],
             false => [width, height],
         })
+    }
+
+    /// Whether every program shows the file's pixels as they are: its EXIF data ask for no turn.
+    ///
+    /// # Errors
+    /// As [`Photo::size`].
+    pub fn is_stored_upright(&self) -> Result<bool> {
+        Ok(self.head()?.0 == Orientation::NoTransforms)
+    }
+
+    /// Orientation and stored size.
+    fn head(&self) -> Result<(Orientation, (u32, u32))> {
+        let file = fs::File::open(&self.path).map_err(Error::io("read", &self.path))?;
+        let head = ImageReader::new(BufReader::new(file))
+            .with_guessed_format()
+            .map_err(Error::io("read", &self.path))?
+            .into_decoder()
+            .and_then(|mut decoder| Ok((decoder.orientation()?, decoder.dimensions())));
+        head.map_err(|error| unreadable(&self.path, error))
     }
 
     /// The pixels, turned upright by the EXIF orientation unless [`Photo::as_stored`].

@@ -5,8 +5,10 @@
 //! `instance` and `confidence` are extra properties, which readers that do not know them skip.
 
 mod read;
+mod splats;
 
 pub use read::{PlyCloud, read_cloud};
+pub use splats::{Splat, write_splats};
 
 use crate::{
     Result,

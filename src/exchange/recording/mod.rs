@@ -155,17 +155,17 @@ impl Reconstructor for Recording {
             .iter()
             .map(|photo| self.view(photo))
             .collect::<Result<_>>()?;
-        progress.begin("reading RGB-D frames", views.len());
+        progress.begin("reading photos and depth", views.len());
         let frames: Result<Vec<Frame>> = Shared::read(&views).and_then(|shared| {
-            views
-                .par_iter()
-                .map(|view| {
-                    let frame = view.frame(&shared, &self.options)?;
-                    self.check_depth(&frame, view)?;
-                    progress.advance(1);
-                    Ok(frame)
-                })
-                .collect()
+            let read = |view: &&View| {
+                let frame = view.frame(&shared, &self.options)?;
+                self.check_depth(&frame, view)?;
+                progress.advance(1);
+                Ok(frame)
+            };
+            // All, so that the error is the first photo's and not the fastest thread's.
+            let frames: Vec<Result<Frame>> = views.par_iter().map(read).collect();
+            frames.into_iter().collect()
         });
         progress.end();
         Ok(frames?.into())
