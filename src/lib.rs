@@ -11,6 +11,7 @@ pub mod edit;
 pub mod error;
 pub mod evaluate;
 pub mod exchange;
+pub mod export;
 pub mod geometry;
 pub mod machine;
 pub mod map;

@@ -3,9 +3,9 @@ use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
 use tid3r::{
-    exchange::rgbd::{ImportOptions, Layout, Recording},
+    exchange::recording::{ImportOptions, Recording},
     reconstruct::NewScene,
-    scene::{Scale, Scene, Stage, WriteLock},
+    scene::{Scene, Stage, WriteLock},
 };
 
 /// Make a scene from an RGB-D recording with known cameras.
@@ -30,7 +30,9 @@ pub(super) struct Import {
 
 impl Import {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
-        let recording = Recording::open(&self.recording, &self.options)?;
+        // A scene's own photos are found whatever folder later commands are run in.
+        let photos = std::path::absolute(self.output.join("photos"))?;
+        let recording = Recording::open(&self.recording, &self.options, &photos)?;
         for warning in &recording.warnings {
             tracing::warn!("{warning}");
         }
@@ -39,10 +41,7 @@ impl Import {
             reconstructor: &recording,
             inputs: &recording.inputs,
             held_out: &recording.held_out,
-            scale: match recording.layout {
-                Layout::SevenScenes | Layout::ColorDepth => Scale::Metric,
-                Layout::Npz => Scale::Relative,
-            },
+            scale: recording.scale,
             parameters: serde_json::json!({
                 "recording": self.recording,
                 "options": self.options,

@@ -10,8 +10,8 @@ use tid3r::{
     geometry::{Camera, Point},
     progress::Progress,
     render::{
-        Completer, EditedScene, PathFile, ReferenceParams, Rendering, SplatParams, Target, Written,
-        between, orbit, scene_recipe,
+        Completer, EditedScene, ReferenceParams, Rendering, SplatParams, Target, Written, between,
+        orbit, path_cameras, scene_recipe,
     },
     scene::{Role, Scene, WriteLock},
 };
@@ -209,7 +209,7 @@ impl Cameras {
         }
         if let Some(path) = &self.path {
             let first = inputs.first().ok_or_else(|| no_photos(scene))?;
-            cameras.extend(PathFile::cameras(path, &first.camera.intrinsics)?);
+            cameras.extend(path_cameras(path, &first.camera.intrinsics)?);
         }
         if self.test_views && held_out.is_empty() {
             return Err(Error::request(

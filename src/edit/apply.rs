@@ -1,8 +1,8 @@
-use super::{Edit, Placement, SplitBy};
+use super::{Edit, Motions, Placement, SplitBy};
 use crate::{
     Map, Result,
     geometry::{Point, Pose, Vector},
-    scene::{Cloud, Frame},
+    scene::{Cloud, Frame, Source},
 };
 use image::RgbImage;
 use rayon::prelude::*;
@@ -22,6 +22,8 @@ pub struct Edited {
     /// The instance of each pixel of the photos, as instances were merged and split; removed and moved
     /// ones are still where they were photographed.
     pub instances: Vec<Map<u32>>,
+    /// How the cloud's points came to where they are.
+    pub motions: Motions,
 }
 
 /// Applies edits to a cloud made of `frames`.
@@ -52,6 +54,7 @@ pub(super) struct Work {
     cloud: Cloud,
     /// The point's place in the cloud before all edits; `None` for copies.
     origin: Vec<Option<usize>>,
+    motions: Motions,
     /// The cloud before all edits, but with instances as they were merged and split since: as if they
     /// had been found that way.
     before: Cloud,
@@ -66,6 +69,7 @@ impl Work {
     pub(super) fn new(cloud: Cloud, frames: &[Frame], instances: Vec<Map<u32>>) -> Self {
         Self {
             origin: (0..cloud.len()).map(Some).collect(),
+            motions: Motions::none(cloud.len()),
             before: cloud.clone(),
             cloud,
             photos: frames.iter().map(|frame| frame.colour.clone()).collect(),
@@ -177,6 +181,7 @@ impl Work {
         let mut place = kept.iter();
         self.origin
             .retain(|_| place.next().copied().unwrap_or(false));
+        self.motions.retain(&kept);
         self.cloud = std::mem::take(&mut self.cloud)
             .partition(|index, _| kept[index])
             .0;
@@ -196,6 +201,7 @@ impl Work {
         let Some(motion) = placement.motion(&points, floor_to_world) else {
             return;
         };
+        self.motions.add(&indices, &motion);
         for (index, point) in indices.into_iter().zip(points) {
             self.cloud.positions[index] = (motion * point).coords.map(|x| x as f32).into();
             self.cloud.radii[index] *= placement.scale as f32;
@@ -206,6 +212,7 @@ impl Work {
     }
 
     fn copy(&mut self, instance: u32, copy: u32) {
+        self.motions.copy(&self.places(instance));
         let (mut points, _) = self
             .cloud
             .clone()
@@ -270,16 +277,17 @@ impl Work {
         let vacated = before.partition(|index, _| !in_place[index]).0;
         let gone: BTreeSet<u32> = vacated.instances.iter().copied().collect();
         let fringe = self.fringe(&vacated);
-        let origin = std::mem::take(&mut self.origin);
-        let cloud = self.cloud.partition(|index, cloud| {
-            let source = cloud.sources[index];
-            let stays = origin[index].is_some_and(|origin| in_place[origin])
-                && !gone.contains(&cloud.instances[index]);
+        let kept = |(index, source): (usize, &Source)| {
+            let stays = self.origin[index].is_some_and(|origin| in_place[origin])
+                && !gone.contains(&self.cloud.instances[index]);
             self.cut_out
                 || !(stays && fringe[source.frame as usize].values()[source.pixel as usize])
-        });
+        };
+        let kept: Vec<bool> = self.cloud.sources.iter().enumerate().map(kept).collect();
+        self.motions.retain(&kept);
         Edited {
-            cloud: cloud.0,
+            cloud: self.cloud.partition(|index, _| kept[index]).0,
+            motions: self.motions,
             vacated,
             photos: self.photos,
             instances: self.instances,
@@ -567,6 +575,42 @@ mod tests {
             placement: shift(-0.5),
         };
         assert!(edited(&[there, back]).vacated.is_empty());
+    }
+
+    #[test]
+    fn motions_lead_from_where_points_were_photographed() {
+        let placed = |instance, turn_degrees, scale| Edit::Move {
+            instance,
+            placement: Placement {
+                turn_degrees,
+                scale,
+                ..shift(0.5)
+            },
+        };
+        let copy = Edit::Duplicate {
+            instance: 1,
+            copy: 3,
+            placement: shift(2.0),
+        };
+        let remove = Edit::Remove { instances: vec![1] };
+        let moves = [placed(1, 30.0, 2.0), copy, placed(2, -70.0, 0.5), remove];
+        let scene = edited(&[&moves[..], &[merge(2, &[3]), placed(2, 10.0, 1.5)]].concat());
+        let wall = facing_wall(0.0, 4.0);
+        let scales = (0..scene.cloud.len()).map(|index| {
+            let motion = scene.motions.of(index);
+            let before = wall
+                .point(scene.cloud.sources[index].pixel as usize)
+                .unwrap();
+            let distance = (motion * before - scene.cloud.point(index)).norm();
+            assert!(distance < 1e-4, "{index}: {distance}");
+            (motion.scaling() * 4.0).round() as i32
+        });
+        let scales: BTreeSet<i32> = scales.collect();
+        assert_eq!(
+            scales,
+            [3, 4, 12].into(),
+            "merged parts keep motions of their own"
+        );
     }
 
     #[test]

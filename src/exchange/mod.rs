@@ -1,4 +1,12 @@
-//! What other programs write and read: recordings in, point clouds out.
+//! What other programs write and read: recordings in, scenes out.
+//!
+//! Each format is a pair of reader and writer between a file and plain structs in tid3r's conventions;
+//! formats know nothing of scenes.
 
+pub mod cameras;
+pub mod colmap;
+pub mod glb;
+mod half_pixels;
 pub mod ply;
-pub mod rgbd;
+pub mod recording;
+pub mod transforms;

@@ -5,6 +5,7 @@
 
 mod align;
 mod camera;
+mod distortion;
 mod floor;
 mod focal;
 mod lens;
@@ -14,6 +15,7 @@ mod warp;
 
 pub use align::{AlignmentError, AlignmentFit, CameraAlignment, align_cameras};
 pub use camera::{Camera, Intrinsics, matrix4};
+pub use distortion::{DistortedLens, Distortion};
 pub use floor::{SurfacePoint, floor_frame};
 pub use focal::{FocalError, estimate_focal, robust_focal};
 pub use lens::Lens;

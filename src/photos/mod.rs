@@ -8,6 +8,7 @@ mod names;
 mod network_frame;
 mod opencv_resize;
 mod pillow_resize;
+mod undistort;
 
 pub use from_paths::{PHOTO_COUNT_LIMIT, photos_from_paths};
 pub use known_lens::KnownLens;
@@ -17,6 +18,7 @@ pub use network_frame::{
 };
 pub use opencv_resize::opencv_resize;
 pub use pillow_resize::{PillowFilter, pillow_resize};
+pub use undistort::undistorted;
 
 use crate::{Error, Result, geometry::Intrinsics};
 use fast_image_resize as fir;
@@ -59,13 +61,7 @@ impl Photo {
     /// # Errors
     /// When the file cannot be read or is no picture that tid3r can decode.
     pub fn size(&self) -> Result<[u32; 2]> {
-        let file = fs::File::open(&self.path).map_err(Error::io("read", &self.path))?;
-        let head = ImageReader::new(BufReader::new(file))
-            .with_guessed_format()
-            .map_err(Error::io("read", &self.path))?
-            .into_decoder()
-            .and_then(|mut decoder| Ok((decoder.orientation()?, decoder.dimensions())));
-        let (orientation, (width, height)) = head.map_err(|error| unreadable(&self.path, error))?;
+        let (orientation, (width, height)) = self.head()?;
         let is_turned = matches!(
             orientation,
             Orientation::Rotate90
@@ -79,32 +75,59 @@ impl Photo {
         })
     }
 
+    /// Whether every program shows the file's pixels as they are: its EXIF data ask for no turn.
+    ///
+    /// # Errors
+    /// As [`Photo::size`].
+    pub fn is_stored_upright(&self) -> Result<bool> {
+        Ok(self.head()?.0 == Orientation::NoTransforms)
+    }
+
+    /// Orientation and stored size.
+    fn head(&self) -> Result<(Orientation, (u32, u32))> {
+        let file = fs::File::open(&self.path).map_err(Error::io("read", &self.path))?;
+        let head = ImageReader::new(BufReader::new(file))
+            .with_guessed_format()
+            .map_err(Error::io("read", &self.path))?
+            .into_decoder()
+            .and_then(|mut decoder| Ok((decoder.orientation()?, decoder.dimensions())));
+        head.map_err(|error| unreadable(&self.path, error))
+    }
+
     /// The pixels, turned upright by the EXIF orientation unless [`Photo::as_stored`].
     ///
     /// # Errors
     /// When the file cannot be read or is no picture that tid3r can decode.
     pub fn load(&self) -> Result<RgbImage> {
         let bytes = fs::read(&self.path).map_err(Error::io("read", &self.path))?;
-        // The decoder fills up with grey what a JPEG lacks.
-        if image::guess_format(&bytes).is_ok_and(|format| format == ImageFormat::Jpeg)
-            && !jpeg::is_whole(&bytes)
-        {
-            return Err(unreadable(&self.path, "it is cut short"));
-        }
-        let decoded = ImageReader::new(Cursor::new(bytes))
-            .with_guessed_format()
-            .map_err(Error::io("read", &self.path))?
-            .into_decoder()
-            .and_then(|mut decoder| {
-                let orientation = decoder.orientation()?;
-                Ok((DynamicImage::from_decoder(decoder)?, orientation))
-            });
-        let (mut image, orientation) = decoded.map_err(|error| unreadable(&self.path, error))?;
-        if !self.as_stored {
-            image.apply_orientation(orientation);
-        }
-        Ok(image.into_rgb8())
+        decode(bytes, &self.path, self.as_stored)
     }
+}
+
+/// The pixels of a picture file's bytes, turned upright unless `as_stored`; `path` is for messages.
+///
+/// # Errors
+/// When they are no picture that tid3r can decode.
+pub(crate) fn decode(bytes: Vec<u8>, path: &Path, as_stored: bool) -> Result<RgbImage> {
+    // The decoder fills up with grey what a JPEG lacks.
+    if image::guess_format(&bytes).is_ok_and(|format| format == ImageFormat::Jpeg)
+        && !jpeg::is_whole(&bytes)
+    {
+        return Err(unreadable(path, "it is cut short"));
+    }
+    let decoded = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(Error::io("read", path))?
+        .into_decoder()
+        .and_then(|mut decoder| {
+            let orientation = decoder.orientation()?;
+            Ok((DynamicImage::from_decoder(decoder)?, orientation))
+        });
+    let (mut image, orientation) = decoded.map_err(|error| unreadable(path, error))?;
+    if !as_stored {
+        image.apply_orientation(orientation);
+    }
+    Ok(image.into_rgb8())
 }
 
 /// The error about a file that cannot be decoded.

@@ -13,7 +13,7 @@ mod top_down;
 
 pub use completer::{Bare, Completed, Completer, Completion, Keeps, Kept, Step, View, Views};
 pub use contact_sheet::contact_sheet;
-pub use path::{PathFile, between, orbit};
+pub use path::{between, orbit, path_cameras};
 pub use projection::{Projection, SplatParams, project};
 pub use record::scene_recipe;
 pub use references::{Reference, ReferenceParams, reference_masks};

@@ -1,11 +1,10 @@
 use crate::{
     Error, Result,
-    geometry::{Camera, Intrinsics, Point, Pose, Vector, matrix4},
-    scene::files,
+    exchange::cameras::CameraFile,
+    geometry::{Camera, Intrinsics, Point, Pose, Vector},
 };
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion};
-use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// The camera a share of the way from one to another: positions on a straight line, rotation by the
 /// shortest turn, lens of the first.
@@ -61,89 +60,37 @@ pub fn orbit(start: &Camera, target: &Point, floor_to_world: &Pose, count: usize
         .collect()
 }
 
-/// Nobody watches more cameras than this between two views.
-const MOST_STEPS: usize = 10_000;
-
-/// A camera path in a JSON file.
+/// The cameras of a file of named cameras, with those that its steps put in between; `intrinsics` are for
+/// views without.
 ///
-/// `{"views": [{"name": "door", "cam_to_world": [[…4 numbers…], … 4 rows], "intrinsics": {"width": 640,
-/// "height": 480, "fx": …, "fy": …, "cx": …, "cy": …}}, …], "steps": 10}`. Poses are OpenCV's (x right,
-/// y down, z forward) in the scene frame. `name` and `intrinsics` may be left out; so may `steps`, the
-/// number of cameras put in between each two of the views.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PathFile {
-    /// The cameras that were chosen.
-    views: Vec<PathView>,
-    /// How many go in between each two.
-    #[serde(default)]
-    steps: usize,
-}
-
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PathView {
-    name: Option<String>,
-    #[serde(with = "matrix4")]
-    cam_to_world: Pose,
-    intrinsics: Option<Intrinsics>,
-}
-
-impl PathFile {
-    /// Reads the file and gives the cameras with their names; `intrinsics` are for views without.
-    ///
-    /// # Errors
-    /// When the file cannot be read, holds something else, no view, or a lens that cannot be.
-    pub fn cameras(path: &Path, intrinsics: &Intrinsics) -> Result<Vec<(String, Camera)>> {
-        let remedy = "see `tid3r render --help` for the format";
-        let file: Self = files::read_json(path, remedy)?;
-        if file.views.is_empty() {
-            return Err(Error::file(path, "holds no view", remedy));
-        }
-        if file.steps > MOST_STEPS {
-            let problem = format!("asks for more than {MOST_STEPS} steps");
-            return Err(Error::file(path, problem, remedy));
-        }
-        let mut cameras: Vec<(String, Camera)> = Vec::new();
-        for (k, view) in file.views.iter().enumerate() {
-            let lens = view.intrinsics.unwrap_or(*intrinsics);
-            if !lens.is_possible() {
-                return Err(Error::file(
-                    path,
-                    format!("has a view ({k}) with impossible intrinsics"),
-                    remedy,
-                ));
+/// # Errors
+/// Those of [`CameraFile::read`]; when a name is one that a camera in between gets.
+pub fn path_cameras(path: &Path, intrinsics: &Intrinsics) -> Result<Vec<(String, Camera)>> {
+    let remedy = "see `tid3r render --help` for the format";
+    let file = CameraFile::read(path, remedy)?;
+    let mut cameras: Vec<(String, Camera)> = Vec::new();
+    let numbered = |cameras: &[_]| format!("path_{:04}", cameras.len());
+    for view in file.views {
+        let camera = Camera {
+            intrinsics: view.intrinsics.unwrap_or(*intrinsics),
+            cam_to_world: view.cam_to_world,
+        };
+        if let Some((_, last)) = cameras.last().cloned() {
+            for step in 1..=file.steps {
+                let share = step as f64 / (file.steps + 1) as f64;
+                cameras.push((numbered(&cameras), between(&last, &camera, share)));
             }
-            let camera = Camera {
-                intrinsics: lens,
-                cam_to_world: view.cam_to_world,
-            };
-            if let Some((_, last)) = cameras.last().cloned() {
-                for step in 1..=file.steps {
-                    let share = step as f64 / (file.steps + 1) as f64;
-                    cameras.push((
-                        format!("path_{:04}", cameras.len()),
-                        between(&last, &camera, share),
-                    ));
-                }
-            }
-            let name = view
-                .name
-                .clone()
-                .unwrap_or_else(|| format!("path_{:04}", cameras.len()));
-            let usable = |c: char| c.is_ascii_alphanumeric() || "_-. ".contains(c);
-            if name.starts_with('.')
-                || !name.chars().all(usable)
-                || cameras.iter().any(|(n, _)| *n == name)
-            {
-                let problem = format!(
-                    "has a view name that cannot be used as a file name, or twice: '{name}'"
-                );
-                return Err(Error::file(path, problem, remedy));
-            }
-            cameras.push((name, camera));
         }
-        Ok(cameras)
+        let name = view.name.unwrap_or_else(|| numbered(&cameras));
+        cameras.push((name, camera));
+    }
+    let mut names = BTreeSet::new();
+    match cameras.iter().find(|(name, _)| !names.insert(name)) {
+        Some((name, _)) => {
+            let problem = format!("has two views called '{name}'");
+            Err(Error::file(path, problem, remedy))
+        }
+        None => Ok(cameras),
     }
 }
 
@@ -201,7 +148,7 @@ mod tests {
         let path = folder.path().join("path.json");
         let read = |text: &str| {
             std::fs::write(&path, text).unwrap();
-            PathFile::cameras(&path, &INTRINSICS)
+            path_cameras(&path, &INTRINSICS)
         };
         let pose = |x: f64| format!("[[1,0,0,{x}],[0,1,0,0],[0,0,1,0],[0,0,0,1]]");
         let views = format!(

@@ -272,6 +272,11 @@ impl<'a> MapFile<'a> {
         metadata.metadata().as_ref()?.get("recipe").cloned()
     }
 
+    /// Whether there is a map of this name, in a file that is not damaged.
+    pub fn holds(&self, name: &str) -> bool {
+        SafeTensors::deserialize(&self.bytes).is_ok_and(|file| file.tensor(name).is_ok())
+    }
+
     /// One of the maps.
     ///
     /// # Errors

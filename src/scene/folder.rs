@@ -210,6 +210,33 @@ impl Scene {
         })
     }
 
+    /// The Gaussians of the input frames, each of its frame's size.
+    ///
+    /// # Errors
+    /// When a frame has none, or a file is damaged.
+    pub fn gaussians(&self) -> Result<Vec<Gaussians>> {
+        let read = |record: &FrameRecord| {
+            let path = self.file_of(Role::Input, &record.photo.name, "gaussians.safetensors");
+            if !path.exists() {
+                return Err(Error::file(
+                    &self.folder,
+                    "has no Gaussians",
+                    "reconstruct the photos with MV-DUSt3R or MV-DUSt3R+, without --no-gaussians",
+                ));
+            }
+            let gaussians = Gaussians::read(&MapFile::open(&path, AGAIN)?)?;
+            let lens = &record.camera.intrinsics;
+            let size = (lens.width, lens.height);
+            let mut maps = gaussians.maps().into_iter();
+            if maps.any(|(_, map)| (map.width(), map.height()) != size) {
+                let problem = format!("is not of the frame's size, {}x{}", size.0, size.1);
+                return Err(Error::file(&path, problem, AGAIN));
+            }
+            Ok(gaussians)
+        };
+        self.manifest.frames.par_iter().map(read).collect()
+    }
+
     fn write_manifest(&mut self) -> Result<()> {
         self.as_stored["stages"] = to_value(&self.manifest.stages)?;
         files::write_json(&self.folder.join(MANIFEST), &self.as_stored)

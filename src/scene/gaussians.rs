@@ -1,4 +1,5 @@
-use crate::Map;
+use super::files::MapFile;
+use crate::{Map, Result};
 
 /// A Gaussian for each pixel of a frame, to be splatted; its mean is the pixel's point.
 ///
@@ -17,6 +18,26 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
+    /// The maps of a file, all of a width and height.
+    ///
+    /// # Errors
+    /// When one is missing or damaged.
+    pub(super) fn read(file: &MapFile) -> Result<Self> {
+        let map = |name: &str, k: usize| file.map::<f32>(&format!("{name}_{k}"));
+        let colours = (0..).take_while(|k| file.holds(&format!("colour_{k}")));
+        Ok(Self {
+            colour: colours.map(|k| map("colour", k)).collect::<Result<_>>()?,
+            opacity: file.map("opacity")?,
+            scale: [map("scale", 0)?, map("scale", 1)?, map("scale", 2)?],
+            rotation: [
+                map("rotation", 0)?,
+                map("rotation", 1)?,
+                map("rotation", 2)?,
+                map("rotation", 3)?,
+            ],
+        })
+    }
+
     /// The maps under the names that they have in files: `opacity`, `scale_0` and so on.
     pub(super) fn maps(&self) -> Vec<(String, &Map<f32>)> {
         let mut maps = vec![("opacity".to_string(), &self.opacity)];

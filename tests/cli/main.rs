@@ -13,6 +13,7 @@ mod dtype;
 mod edit;
 mod evaluate;
 mod export;
+mod export_formats;
 mod import;
 mod instances;
 mod killed;

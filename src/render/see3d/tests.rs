@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     Map,
-    edit::Edited,
+    edit::{Edited, Motions},
     progress::Silent,
     render::{EditedScene, ReferenceParams, Rendering, SplatParams, Story, View},
     scene::{
@@ -195,6 +195,7 @@ fn scene() -> EditedScene {
         vacated: Cloud::default(),
         photos: frames.iter().map(|frame| frame.colour.clone()).collect(),
         instances: Vec::new(),
+        motions: Motions::default(),
     };
     EditedScene { frames, edited }
 }

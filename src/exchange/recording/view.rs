@@ -1,0 +1,398 @@
+use super::{
+    ImportOptions, IntrinsicsImage, Lens, Shared,
+    listing::{DepthSource, Entry, PhotoSource},
+    pictures::{PictureHeader, read_depth},
+    points::depth_of_points,
+    poses,
+    reduce::reduce,
+    resample::{keep_seen, resample},
+    selection::Chosen,
+};
+use crate::{
+    Error, Map, Result,
+    geometry::{Camera, DistortedLens, Distortion, Intrinsics},
+    photos::{Photo, PhotoTransform, undistorted},
+    scene::{Frame, files},
+};
+use image::{RgbImage, metadata::Orientation};
+use std::path::Path;
+
+/// A depth image of more than this many times the photo's width is no measurement, but fills the
+/// memory.
+const WIDEST_DEPTH: u32 = 8;
+/// How far the aspect ratios of photo and depth may differ.
+const ASPECT_TOLERANCE: f64 = 0.015;
+/// A principal point farther off centre than this share of a side deserves a warning.
+const OFF_CENTRE: f64 = 0.25;
+
+/// One photo of a recording, all of its geometry settled but nothing decoded.
+#[derive(Debug)]
+pub(super) struct View {
+    /// As the scene has it: a file that is not there before [`View::frame`] if the recording has the photo
+    /// within a larger file, or taken by a lens with distortion.
+    pub(super) photo: Photo,
+    source: PhotoSource,
+    /// The lens that the photo was taken with.
+    photo_lens: DistortedLens,
+    pub(super) transform: PhotoTransform,
+    /// Intrinsics are those of the frame.
+    pub(super) camera: Camera,
+    /// The mirror that the world went through.
+    pub(super) mirror: Option<[f64; 2]>,
+    pub(super) depth: Option<DepthSource>,
+    /// The lens of the depth camera, unless that is the photo's and a pinhole.
+    depth_lens: Option<DistortedLens>,
+    /// The pinhole of the frame before it is reduced to the size asked for.
+    grid: Intrinsics,
+    /// What was assumed of the intrinsics.
+    pub(super) assumptions: Vec<String>,
+}
+
+impl View {
+    /// Settles the geometry of a chosen photo. `usual_depth_size` stands in where it has no depth; photos
+    /// that are no files of their own are going to be in `photos_folder`.
+    pub(super) fn new(
+        chosen: &Chosen<'_>,
+        usual_depth_size: Option<[u32; 2]>,
+        options: &ImportOptions,
+        photos_folder: &Path,
+    ) -> Result<Self> {
+        let entry = chosen.entry;
+        let depth = match &entry.depth {
+            Some(depth) => depth.size()?,
+            None => usual_depth_size,
+        };
+        let header = match &entry.photo {
+            PhotoSource::File(path) => PictureHeader::read(path)?,
+            PhotoSource::Packed(packed) => PictureHeader::of_sensor(packed.size),
+        };
+        let (photo, as_stored) = photo_size(&header, entry.lens.size.or(depth));
+        if let Some(depth) = depth {
+            if entry.depth_lens.is_none() && !same_aspect(photo, depth) {
+                return Err(unlike(chosen, photo, depth));
+            }
+            if depth[0] / photo[0] > WIDEST_DEPTH {
+                return Err(Error::file(
+                    entry.photo.path(),
+                    format!(
+                        "is {}x{}, and its depth {}x{}: that much depth is not measured",
+                        photo[0], photo[1], depth[0], depth[1]
+                    ),
+                    "give the depth in its own resolution, and the photos in theirs",
+                ));
+            }
+        }
+        let mut assumptions = Vec::new();
+        let intrinsics = photo_intrinsics(entry, photo, depth, options, &mut assumptions)?;
+        let photo_lens = DistortedLens {
+            intrinsics,
+            distortion: entry.lens.distortion,
+        };
+        let is_pinhole = photo_lens.distortion == Distortion::None;
+        let depth_lens = match (&entry.depth_lens, depth) {
+            (Some(stated), Some(size)) => Some(DistortedLens {
+                intrinsics: on_image(entry, &stated.lens, size)?,
+                distortion: stated.distortion,
+            }),
+            (None, Some([width, height])) if !is_pinhole => Some(DistortedLens {
+                intrinsics: intrinsics.resized(width, height),
+                ..photo_lens
+            }),
+            _ => None,
+        };
+        let pose =
+            poses::opencv(&chosen.rows, entry.lens.lens.axis_signs()).map_err(|problem| {
+                Error::file(
+                    entry.pose.path(),
+                    format!("frame {}: {problem}", entry.number),
+                    "poses must be rigid camera-to-world motions",
+                )
+            })?;
+        let grid_size = grid_size(photo, depth, &intrinsics, depth_lens.as_ref());
+        let [width, height] = frame_size(grid_size, options.max_size);
+        Ok(Self {
+            photo: scene_photo(entry, as_stored, photos_folder),
+            source: entry.photo.clone(),
+            photo_lens,
+            transform: PhotoTransform::whole(photo, [width, height]),
+            camera: Camera {
+                intrinsics: intrinsics.resized(width, height),
+                cam_to_world: pose.cam_to_world,
+            },
+            mirror: pose.mirror,
+            depth: entry.depth.clone(),
+            depth_lens,
+            grid: intrinsics.resized(grid_size[0], grid_size[1]),
+            assumptions,
+        })
+    }
+
+    /// Decodes photo and depth. A photo that is no file of its own is written to one.
+    pub(super) fn frame(&self, shared: &Shared, options: &ImportOptions) -> Result<Frame> {
+        let [width, height] = self.transform.frame_size;
+        Ok(Frame {
+            photo: self.photo.clone(),
+            transform: self.transform,
+            camera: self.camera,
+            colour: self.transform.apply(&self.picture()?, self.source.path())?,
+            confidence: Map::filled(width, height, 1.0),
+            depth: self.depth_map(shared, options)?,
+        })
+    }
+
+    /// The frame's depth.
+    fn depth_map(&self, shared: &Shared, options: &ImportOptions) -> Result<Map<f32>> {
+        let [width, height] = self.transform.frame_size;
+        let stored = match &self.depth {
+            Some(DepthSource::Picture {
+                path,
+                units_per_length,
+            }) => Some(read_depth(path, *units_per_length)?),
+            Some(DepthSource::Packed(packed)) => Some(packed.read()?),
+            Some(DepthSource::Archive { index, .. }) => shared.archived.get(index).cloned(),
+            Some(DepthSource::Points(_)) => {
+                let mut depth = depth_of_points(&shared.points, &self.camera);
+                keep_range(&mut depth, options);
+                keep_seen(&mut depth, &self.photo_lens, &self.camera.intrinsics);
+                return Ok(depth);
+            }
+            None => None,
+        };
+        let Some(mut depth) = stored else {
+            return Ok(Map::filled(width, height, 0.0));
+        };
+        keep_range(&mut depth, options);
+        let lens = self.depth_lens.as_ref();
+        let expected = lens.map_or(&self.grid, |lens| &lens.intrinsics);
+        if (depth.width(), depth.height()) != (expected.width, expected.height) {
+            return Err(Error::file(
+                &self.photo.path,
+                "the depth image has become another size",
+                "do not change the recording while it is read",
+            ));
+        }
+        if let Some(lens) = lens {
+            depth = resample(&depth, lens, &self.photo_lens, &self.grid);
+        }
+        Ok(reduce(&depth, width, height))
+    }
+
+    /// The photo's pixels, without distortion; writes the photo's file if it is the scene's own.
+    fn picture(&self) -> Result<RgbImage> {
+        let (picture, bytes) = match &self.source {
+            PhotoSource::File(path) => {
+                let photo = Photo {
+                    path: path.clone(),
+                    ..self.photo.clone()
+                };
+                (photo.load()?, None)
+            }
+            PhotoSource::Packed(packed) => packed.read()?,
+        };
+        if self.photo_lens.distortion != Distortion::None {
+            // A photo that has become another size is refused when the frame is cut.
+            let lens = &self.photo_lens;
+            if picture.dimensions() != (lens.intrinsics.width, lens.intrinsics.height) {
+                return Ok(picture);
+            }
+            let straight = undistorted(&picture, lens);
+            files::write_png(&self.photo.path, &straight)?;
+            return Ok(straight);
+        }
+        match (&self.source, bytes) {
+            (PhotoSource::File(_), _) => {}
+            (_, Some(bytes)) => {
+                files::write_atomically(&self.photo.path, |out| out.write_all(&bytes))?;
+            }
+            (_, None) => files::write_png(&self.photo.path, &picture)?,
+        }
+        Ok(picture)
+    }
+}
+
+/// The photo as the scene has it: the recording's file, or one of the scene's own.
+fn scene_photo(entry: &Entry, as_stored: bool, photos_folder: &Path) -> Photo {
+    let ending = match &entry.photo {
+        PhotoSource::File(path) if entry.lens.distortion == Distortion::None => {
+            return Photo {
+                name: entry.name.clone(),
+                path: path.clone(),
+                as_stored,
+            };
+        }
+        PhotoSource::Packed(packed) if entry.lens.distortion == Distortion::None => packed.ending(),
+        _ => "png",
+    };
+    Photo {
+        name: entry.name.clone(),
+        path: photos_folder.join(format!("{}.{ending}", entry.name)),
+        as_stored,
+    }
+}
+
+/// The photo's lens, in its own pixels.
+fn photo_intrinsics(
+    entry: &Entry,
+    photo: [u32; 2],
+    depth: Option<[u32; 2]>,
+    options: &ImportOptions,
+    assumptions: &mut Vec<String>,
+) -> Result<Intrinsics> {
+    let lens = &entry.lens.lens;
+    let size = match entry.lens.size {
+        Some(size) if same_aspect(size, photo) => size,
+        Some(size) => {
+            return Err(Error::file(
+                entry.photo.path(),
+                format!(
+                    "is {}x{}, but the intrinsics are those of photos of {}x{}",
+                    photo[0], photo[1], size[0], size[1]
+                ),
+                "give the photos that the intrinsics belong to, or their intrinsics with --intrinsics",
+            ));
+        }
+        None => lens_size(lens, photo, depth.unwrap_or(photo), options, assumptions),
+    };
+    let intrinsics = on_image(entry, lens, size)?;
+    if lens.off_centre(size) > OFF_CENTRE {
+        assumptions.push(format!(
+            "the principal point ({}, {}) is far from the centre of {}x{}: the intrinsics may \
+             be those of another image size",
+            lens.cx, lens.cy, size[0], size[1]
+        ));
+    }
+    Ok(intrinsics.resized(photo[0], photo[1]))
+}
+
+fn on_image(entry: &Entry, lens: &Lens, size: [u32; 2]) -> Result<Intrinsics> {
+    lens.on_image(size).map_err(|problem| {
+        Error::file(
+            &entry.lens_from,
+            problem,
+            "the intrinsics are probably those of another image size: check --intrinsics and \
+             --intrinsics-for",
+        )
+    })
+}
+
+/// The size of a frame that shows the whole photo as finely as the depth camera sees it.
+fn grid_size(
+    photo: [u32; 2],
+    depth: Option<[u32; 2]>,
+    photo_lens: &Intrinsics,
+    depth_lens: Option<&DistortedLens>,
+) -> [u32; 2] {
+    match (depth, depth_lens) {
+        (Some(depth), _) if same_aspect(photo, depth) => depth,
+        (Some(_), Some(depth_lens)) => {
+            let scale = (depth_lens.intrinsics.fx / photo_lens.fx).min(1.0);
+            photo.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
+        }
+        _ => photo,
+    }
+}
+
+/// Makes unknown what is not finite, not positive, or outside the range asked for.
+fn keep_range(depth: &mut Map<f32>, options: &ImportOptions) {
+    let near = options.min_depth;
+    let far = options.max_depth.unwrap_or(f64::INFINITY);
+    for depth in depth.values_mut() {
+        let z = f64::from(*depth);
+        if !(depth.is_finite() && z > 0.0 && z >= near && z <= far) {
+            *depth = 0.0;
+        }
+    }
+}
+
+/// The size of the photo as it is to be used, and whether that is as stored.
+///
+/// A photo whose stored pixels fit the depth, or the size that the lens is stated for, is used as stored even
+/// if its EXIF data turn it: depth and intrinsics are of the sensor's pixels, and only later programs turned the photo.
+fn photo_size(header: &PictureHeader, reference: Option<[u32; 2]>) -> ([u32; 2], bool) {
+    let [width, height] = header.size;
+    let swapped = matches!(
+        header.orientation,
+        Orientation::Rotate90
+            | Orientation::Rotate270
+            | Orientation::Rotate90FlipH
+            | Orientation::Rotate270FlipH
+    );
+    let upright = if swapped {
+        [height, width]
+    } else {
+        [width, height]
+    };
+    let turned = header.orientation != Orientation::NoTransforms;
+    if turned && reference.is_some_and(|reference| same_aspect(header.size, reference)) {
+        (header.size, true)
+    } else {
+        (upright, false)
+    }
+}
+
+fn same_aspect(a: [u32; 2], b: [u32; 2]) -> bool {
+    let [a, b] = [a, b].map(|[width, height]| f64::from(width) / f64::from(height));
+    (a / b - 1.0).abs() <= ASPECT_TOLERANCE
+}
+
+fn unlike(chosen: &Chosen<'_>, photo: [u32; 2], depth: [u32; 2]) -> Error {
+    let (problem, remedy) = if same_aspect([photo[1], photo[0]], depth) {
+        (
+            "do not stand the same way up",
+            "turn the photos back to the way the sensor recorded them",
+        )
+    } else {
+        (
+            "have different shapes",
+            "register the depth to the photos, or crop one to the other, and adapt the intrinsics",
+        )
+    };
+    Error::file(
+        chosen.entry.photo.path(),
+        format!(
+            "the photo ({}x{}) and its depth ({}x{}) {problem}",
+            photo[0], photo[1], depth[0], depth[1]
+        ),
+        remedy,
+    )
+}
+
+/// The size of the image that the intrinsics refer to.
+fn lens_size(
+    lens: &Lens,
+    photo: [u32; 2],
+    depth: [u32; 2],
+    options: &ImportOptions,
+    assumptions: &mut Vec<String>,
+) -> [u32; 2] {
+    let image = options.intrinsics_for.unwrap_or_else(|| {
+        if lens.off_centre(depth) < lens.off_centre(photo) {
+            IntrinsicsImage::Depth
+        } else {
+            IntrinsicsImage::Photo
+        }
+    });
+    let (size, name) = match image {
+        IntrinsicsImage::Photo => (photo, "photos"),
+        IntrinsicsImage::Depth => (depth, "depth images"),
+    };
+    if photo != depth && options.intrinsics_for.is_none() {
+        assumptions.push(format!(
+            "photos ({}x{}) and depth images ({}x{}) differ in size; the intrinsics are taken for \
+             those of the {name}, whose centre is nearer to the principal point; --intrinsics-for \
+             says otherwise",
+            photo[0], photo[1], depth[0], depth[1]
+        ));
+    }
+    size
+}
+
+/// The size of the depth, or a smaller one of the same shape.
+fn frame_size(depth: [u32; 2], max_size: u32) -> [u32; 2] {
+    let longer = depth[0].max(depth[1]);
+    if longer <= max_size {
+        return depth;
+    }
+    let scale = f64::from(max_size) / f64::from(longer);
+    depth.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
+}
