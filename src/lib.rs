@@ -22,6 +22,7 @@ pub mod reconstruct;
 pub mod render;
 pub mod scene;
 pub mod segment;
+pub mod suite;
 mod weights;
 
 pub use error::{Error, Result};

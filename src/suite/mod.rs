@@ -1,0 +1,25 @@
+//! Many scenes, each made, measured and written down by itself: data sets, and the paper's tables.
+//!
+//! A [`SceneList`] names recordings and how photos of them are chosen ([`choose`]). Each scene comes to a [`SceneResult`] in
+//! a folder of its own, so that processes can divide the scenes among them ([`Shard`]) and a list that was stopped goes on
+//! where it was; [`Tables`] are made of whatever results there are.
+
+mod choose;
+mod list;
+pub mod paper;
+mod result;
+mod shard;
+mod tables;
+
+pub use choose::{Choice, Counts, choose};
+pub use list::{CloudFiles, Measure, SceneEntry, SceneList};
+pub use result::{RESULT_FILE, RowFigures, SceneResult, Seconds, ViewFigures, results_in};
+pub use shard::{Shard, ShardChoice};
+pub use tables::{Table, TableRow, Tables};
+
+/// The row of the method itself.
+pub const METHOD: &str = "tid3r";
+/// The row of every mask an instance of its own.
+pub const NOT_UNIFIED: &str = "without unification";
+/// The row of the network's depth and cloud, nothing removed.
+pub const NOT_CLEANED: &str = "network as is";
