@@ -101,7 +101,21 @@ impl<'a> Pickle<'a> {
     /// If it is cut short, has an instruction that is not known, uses the stack wrongly, or is
     /// larger than any checkpoint's.
     pub(crate) fn read(bytes: &'a [u8]) -> Result<Self, PickleError> {
+        Ok(Self::read_first(bytes)?.0)
+    }
+
+    /// Reads the pickle that `bytes` begin with, and says how many of them it has.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::read`].
+    pub(crate) fn read_first(bytes: &'a [u8]) -> Result<(Self, usize), PickleError> {
         machine::run(bytes)
+    }
+
+    /// All nodes.
+    pub(crate) fn ids(&self) -> impl Iterator<Item = Id> {
+        (0..self.nodes.len() as u32).map(Id)
     }
 
     /// The whole.
