@@ -14,6 +14,7 @@
 
 mod machine;
 
+use std::borrow::Cow;
 use std::fmt;
 
 use crate::error::excerpt;
@@ -138,14 +139,39 @@ impl<'a> Pickle<'a> {
     }
 
     /// The entries of a dictionary, ordered or not; of keys that occur twice, the last counts.
-    pub(crate) fn entries(&self, id: Id) -> Option<&[(Id, Id)]> {
+    pub(crate) fn entries(&self, id: Id) -> Option<Cow<'_, [(Id, Id)]>> {
         match self.get(id) {
-            Node::Dict(items) => Some(items),
+            Node::Dict(items) => Some(items.into()),
             Node::Object(object) if self.is_global(object.callable, ORDERED_DICT) => {
-                Some(&object.items)
+                match self.listed_entries(object.arguments) {
+                    Some(items) if object.items.is_empty() => Some(items.into()),
+                    _ => Some((&object.items).into()),
+                }
             }
             _ => None,
         }
+    }
+
+    /// The entries that an ordered dictionary is made from: Python 2 hands over a list of lists of key and
+    /// value.
+    fn listed_entries(&self, arguments: Id) -> Option<Vec<(Id, Id)>> {
+        let Node::Tuple(arguments) = self.get(arguments) else {
+            return None;
+        };
+        let &[list] = &arguments[..] else {
+            return None;
+        };
+        let Node::List(pairs) = self.get(list) else {
+            return None;
+        };
+        let entry = |&pair: &Id| match self.get(pair) {
+            Node::List(parts) | Node::Tuple(parts) => match parts[..] {
+                [key, value] => Some((key, value)),
+                _ => None,
+            },
+            _ => None,
+        };
+        pairs.iter().map(entry).collect()
     }
 
     /// The value of a dictionary under a key.
