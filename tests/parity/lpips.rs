@@ -21,7 +21,10 @@ pub(crate) fn distances(case: &Case, comparison: &mut Comparison) -> Result<()> 
     let found = network.forward_observed(&first, &second, &mut Features(comparison))?;
     let values = found.iter().map(|distance| distance.value);
     comparison.check("value", &Tensor::from_iter(values, &Device::Cpu)?);
-    let layers: Vec<_> = found.iter().map(|distance| distance.layers.to_vec()).collect();
+    let layers: Vec<_> = found
+        .iter()
+        .map(|distance| distance.layers.to_vec())
+        .collect();
     comparison.check("layers", &Tensor::new(layers, &Device::Cpu)?);
     Ok(())
 }
