@@ -7,7 +7,7 @@
 //! - [`Weights`]: where a network has its tensors from. A file is mapped, not read;
 //! - [`nn`]: layers that several networks are built of. All heavy arithmetic is in here, so that
 //!   a faster kernel goes into one place and no network reads differently because of it;
-//! - one folder for each network ([`mvdust3r`], those of [`mobilesamv2`]), with a `Config` whose fields have the names of
+//! - one folder for each network ([`mvdust3r`], [`lpips`], those of [`mobilesamv2`] and [`see3d`]), with a `Config` whose fields have the names of
 //!   the original code, `new(&config, &weights)`, which asks `weights` for exactly the tensors of the
 //!   original state dict by [`Weights::pp`], and `forward`.
 //!
@@ -19,6 +19,7 @@
 //! Errors are [`candle_core::Error`]: a missing or misshapen weight is reported with its name, an
 //! input that a network cannot take with its shape.
 
+pub mod lpips;
 pub mod mobilesamv2;
 pub mod mvdust3r;
 pub mod nn;

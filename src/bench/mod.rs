@@ -1,6 +1,7 @@
 //! How fast the networks, and the kernels that they spend their time in, run on this machine.
 
 mod kernels;
+mod lpips;
 mod mobilesamv2;
 mod mvdust3r;
 mod profile;
@@ -44,7 +45,7 @@ pub struct BenchParams {
     pub boxes: Vec<u32>,
     /// Size of the pictures, or one side of a square: of MV-DUSt3R(+) in steps of 16 [default: 224x224], of
     /// MobileSAMv2's detector of 32 [default: 1024x1024], of See3D's UNets of 64, of its VAE of 8 [default:
-    /// 512x512]
+    /// 512x512], of LPIPS any [default: 640x480]
     #[arg(long, value_name = "WxH")]
     pub size: Option<Size>,
     /// Type of the numbers that are computed with: f32 or bf16
@@ -246,6 +247,7 @@ pub fn run(
         Config::Vae(config) => see3d::vae(params, &config, &source)?,
         Config::ImageEncoder(config) => see3d::image_encoder(&config, &source)?,
         Config::TextEncoder(config) => see3d::text_encoder(&config, &source)?,
+        Config::Lpips(config) => lpips::distance(params, &config, &source)?,
         _ => {
             return Err(Error::request(
                 format!("{} cannot be measured by itself", network.title),

@@ -10,6 +10,7 @@ use crate::{
     evaluate::{
         depth::Alignment,
         image::psnr,
+        lpips::Perceptual,
         scene::{DepthComparison, InstanceComparison, ViewsReport},
     },
     geometry::{Camera, Point},
@@ -133,13 +134,13 @@ impl Show<'_> {
         let DepthComparison { before, after } =
             DepthComparison::new(&frames, &validity, &truth, Alignment::Scale)?;
         Ok(DepthFigures {
-            rmse_before: before.rmse,
-            rmse_after: after.rmse,
-            abs_rel_before: before.abs_rel,
-            abs_rel_after: after.abs_rel,
-            delta1_before: before.delta1,
-            delta1_after: after.delta1,
-            coverage_after: after.coverage,
+            rmse_before: before.all.rmse,
+            rmse_after: after.all.rmse,
+            abs_rel_before: before.all.abs_rel,
+            abs_rel_after: after.all.abs_rel,
+            delta1_before: before.all.delta1,
+            delta1_after: after.all.delta1,
+            coverage_after: after.all.coverage,
         })
     }
 
@@ -223,9 +224,10 @@ impl Show<'_> {
         let compared: Vec<_> = shots
             .map(|(shot, view)| (&*shot.name, view, &shot.view.colour))
             .collect();
-        let report = ViewsReport::new(&compared)?.ok_or_else(|| {
-            Error::request("the room has no held-out view", "choose another seed")
-        })?;
+        let report =
+            ViewsReport::new(&compared, &Perceptual::none(), progress)?.ok_or_else(|| {
+                Error::request("the room has no held-out view", "choose another seed")
+            })?;
         Ok(ViewFigures {
             psnr: report.completed.psnr,
             ssim: report.completed.ssim,

@@ -203,10 +203,10 @@ impl Work {
         };
         self.motions.add(&indices, &motion);
         for (index, point) in indices.into_iter().zip(points) {
-            self.cloud.positions[index] = (motion * point).coords.map(|x| x as f32).into();
+            self.cloud.positions[index] = motion.point(&point).coords.map(|x| x as f32).into();
             self.cloud.radii[index] *= placement.scale as f32;
             let towards = Vector::from(self.cloud.directions[index].map(f64::from));
-            let turned = motion.isometry.rotation * towards;
+            let turned = motion.rotation * towards;
             self.cloud.directions[index] = turned.map(|x| x as f32).into();
         }
     }

@@ -1,5 +1,5 @@
-use crate::geometry::{Point, Pose, Vector};
-use nalgebra::{Similarity3, Translation3, UnitQuaternion};
+use crate::geometry::{Point, Pose, Similarity, Vector};
+use nalgebra::UnitQuaternion;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -101,7 +101,7 @@ impl Placement {
 
     /// The motion, in the scene frame, that this placement means for an instance with these points;
     /// `None` without points.
-    pub fn motion(&self, points: &[Point], floor_to_world: &Pose) -> Option<Similarity3<f64>> {
+    pub fn motion(&self, points: &[Point], floor_to_world: &Pose) -> Option<Similarity> {
         let [x, y, z] = floor_box(points, floor_to_world)?;
         let middle = |[low, high]: [f64; 2]| (low + high) / 2.0;
         let base = Vector::new(middle(x), middle(y), z[0]);
@@ -109,10 +109,12 @@ impl Placement {
         let target = Vector::new(to_x, to_y, base.z) + Vector::from(self.by);
         let turn =
             UnitQuaternion::from_axis_angle(&Vector::z_axis(), self.turn_degrees.to_radians());
-        let in_floor_frame = Translation3::from(target)
-            * Similarity3::from_parts(Translation3::identity(), turn, self.scale)
-            * Translation3::from(-base);
-        let floor = Similarity3::from_isometry(*floor_to_world, 1.0);
+        let in_floor_frame = Similarity {
+            scale: self.scale,
+            rotation: turn,
+            translation: target - self.scale * (turn * base),
+        };
+        let floor = Similarity::from(*floor_to_world);
         Some(floor * in_floor_frame * floor.inverse())
     }
 }
@@ -135,7 +137,7 @@ mod tests {
     fn moved(placement: &Placement) -> [[f64; 2]; 3] {
         let (points, floor) = scene();
         let motion = placement.motion(&points, &floor).unwrap();
-        let points: Vec<Point> = points.iter().map(|p| motion * p).collect();
+        let points: Vec<Point> = points.iter().map(|p| motion.point(p)).collect();
         floor_box(&points, &floor).unwrap()
     }
 
@@ -177,7 +179,7 @@ mod tests {
         let points = [Point::new(0.0, 0.0, 0.0), Point::new(2.0, 0.0, 0.0)];
         let motion = turn.motion(&points, &Pose::identity()).unwrap();
         assert_relative_eq!(
-            motion * points[1],
+            motion.point(&points[1]),
             Point::new(1.0, 1.0, 0.0),
             epsilon = 1e-12
         );

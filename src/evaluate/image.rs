@@ -1,8 +1,11 @@
-//! Rendered views against photos: PSNR and SSIM.
+//! Rendered views against photos: PSNR, SSIM and, where there are weights, LPIPS.
 //!
-//! Pixel values are taken to [0, 1], so the data range of both metrics is 1.
+//! For PSNR and SSIM pixel values are taken to [0, 1], so their data range is 1.
 
-use super::size_mismatch;
+use super::{
+    lpips::{Perceptual, PerceptualDistances},
+    size_mismatch,
+};
 use crate::{Error, Map, Result};
 use image::RgbImage;
 use rayon::prelude::*;
@@ -26,17 +29,21 @@ pub struct ImageReport {
     pub psnr: f64,
     /// Structural similarity, 1 for a picture equal to its truth.
     pub ssim: f64,
+    /// LPIPS.
+    #[serde(flatten)]
+    pub lpips: PerceptualDistances,
 }
 
 impl ImageReport {
-    /// [`psnr`] and [`ssim`] of a picture.
+    /// [`psnr`], [`ssim`] and LPIPS of a picture.
     ///
     /// # Errors
-    /// As [`ssim`].
-    pub fn of(picture: &RgbImage, truth: &RgbImage) -> Result<Self> {
+    /// As [`ssim`] and [`Perceptual::distances`].
+    pub fn of(picture: &RgbImage, truth: &RgbImage, perceptual: &Perceptual) -> Result<Self> {
         Ok(Self {
             psnr: psnr(picture, truth, None)?,
             ssim: ssim(picture, truth)?,
+            lpips: perceptual.distances(picture, truth)?,
         })
     }
 
@@ -48,6 +55,12 @@ impl ImageReport {
         (!reports.is_empty()).then(|| Self {
             psnr: reports.iter().map(|report| report.psnr).sum::<f64>() / count,
             ssim: reports.iter().map(|report| report.ssim).sum::<f64>() / count,
+            lpips: PerceptualDistances::mean(
+                &reports
+                    .iter()
+                    .map(|report| report.lpips)
+                    .collect::<Vec<_>>(),
+            ),
         })
     }
 }
@@ -97,14 +110,14 @@ pub fn psnr(picture: &RgbImage, truth: &RgbImage, counted: Option<&Map<bool>>) -
 /// scikit-image, left a border of 5 pixels out of that mean.)
 ///
 /// # Errors
-/// When sizes differ, or a side is shorter than the window.
+/// When sizes differ, or a side has no more pixels than the window's radius.
 pub fn ssim(picture: &RgbImage, truth: &RgbImage) -> Result<f64> {
     check_same_size(picture, truth)?;
     let (width, height) = truth.dimensions();
-    if width < WINDOW as u32 || height < WINDOW as u32 {
+    if width.min(height) <= RADIUS as u32 {
         return Err(Error::request(
             format!("a picture of {width}x{height} pixels is too small for SSIM"),
-            "give pictures of at least 11x11 pixels",
+            "give pictures of at least 6x6 pixels",
         ));
     }
     let (width, height) = (width as usize, height as usize);
@@ -206,7 +219,7 @@ fn unit_range(picture: &RgbImage) -> Vec<f64> {
     values.map(|&value| f64::from(value) / 255.0).collect()
 }
 
-fn check_same_size(picture: &RgbImage, truth: &RgbImage) -> Result<()> {
+pub(super) fn check_same_size(picture: &RgbImage, truth: &RgbImage) -> Result<()> {
     if picture.dimensions() == truth.dimensions() {
         Ok(())
     } else {

@@ -1,11 +1,13 @@
-//! How near a result is to a known truth: depth, instances, rendered views.
+//! How near a result is to a known truth: depth, cameras, instances, rendered views.
 //!
-//! Pure functions over maps, point labels and pictures; nothing here reads a file. Every number is the
-//! same whatever the number of threads.
+//! Pure functions over maps, poses, point labels and pictures, but for [`lpips`], whose networks have
+//! weights, and [`scene`], which puts together what is known of a scene folder. Every number is the same whatever
+//! the number of threads.
 
 pub mod depth;
 pub mod image;
 pub mod instances;
+pub mod lpips;
 mod nearest;
 pub mod pointmaps;
 pub mod poses;

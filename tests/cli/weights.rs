@@ -553,7 +553,7 @@ fn places_are_searched_in_their_order() {
         "https://huggingface.co/Zhenggang/MV-DUSt3R"
     );
     assert_eq!(list[1]["found"], false);
-    assert_eq!(list.as_array().unwrap().len(), 13);
+    assert_eq!(list.as_array().unwrap().len(), 15);
     let text = good(&place, "list", &[models]);
     for part in [
         "mvdust3r-plus",

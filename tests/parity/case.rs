@@ -182,9 +182,8 @@ impl Case {
     /// The weights: synthetic ones whatever their names, or those of a checkpoint, converted.
     pub(crate) fn weights(&self) -> Result<Weights> {
         match &self.file.weights {
-            &WeightsOf::SyntheticSeed(seed) => {
-                let seed = seed.context("the case has no weights")?;
-                Ok(synthetic(&self.file.config, seed)?.in_type(self.compute_type))
+            WeightsOf::SyntheticSeed(_) => {
+                Ok(synthetic(&self.file.config, self.seed()?)?.in_type(self.compute_type))
             }
             WeightsOf::File(_) => {
                 let folder = tempfile::tempdir()?;
@@ -246,12 +245,14 @@ impl Case {
     /// Synthetic weights of the network whose configuration is `config.<part>`: of the same seed as all
     /// others, with the gains of that part.
     pub(crate) fn weights_of(&self, part: &str) -> Result<Weights> {
+        synthetic(&self.file.config[part], self.seed()?)
+    }
+
+    /// The seed of synthetic weights.
+    pub(crate) fn seed(&self) -> Result<u64> {
         match self.file.weights {
-            WeightsOf::SyntheticSeed(seed) => {
-                let seed = seed.context("the case has no weights")?;
-                synthetic(&self.file.config[part], seed)
-            }
-            WeightsOf::File(_) => bail!("the weights of `{part}` are in a file"),
+            WeightsOf::SyntheticSeed(seed) => seed.context("the case has no weights"),
+            WeightsOf::File(_) => bail!("the weights are in a file"),
         }
     }
 

@@ -135,11 +135,19 @@ pub(crate) fn metrics(case: &Case, comparison: &mut Comparison) -> Result<()> {
     };
     comparison.check("c2w_pred", &tensors(&predicted_poses)?);
     comparison.check("c2w_gt_normalised", &tensors(&truth_poses)?);
-    let predicted_poses: Vec<Option<Pose>> = predicted_poses.into_iter().map(Some).collect();
+    // The script looks at motions from the scene's frame: those of the inverse poses.
+    let inverse = |pose: &Pose| pose.inverse();
+    let predicted_poses: Vec<_> = (predicted_poses.iter())
+        .map(|pose| Some(inverse(pose)))
+        .collect();
+    let truth_poses: Vec<Pose> = truth_poses.iter().map(inverse).collect();
     let pairs = poses::pair_errors(&predicted_poses, &truth_poses)?;
     let of_pairs =
         |of: fn(&poses::PairError) -> f64| Tensor::from_iter(pairs.iter().map(of), &Device::Cpu);
-    comparison.check("pair_rotation_deg", &of_pairs(|pair| pair.rotation_deg)?);
+    comparison.check(
+        "pair_rotation_deg",
+        &of_pairs(|pair| rotation_of_the_script(pair.rotation_deg))?,
+    );
     comparison.check(
         "pair_translation_deg",
         &of_pairs(|pair| pair.translation_deg)?,
@@ -149,6 +157,14 @@ pub(crate) fn metrics(case: &Case, comparison: &mut Comparison) -> Result<()> {
     comparison.check("RTA_at_15", &scalar(accuracy.rta_15)?);
     comparison.check("mAA_at_30", &scalar(accuracy.maa_30)?);
     Ok(())
+}
+
+/// A rotation error, in degrees, as the script has it: acos, within 1e-4 of ±1 continued by its tangent.
+fn rotation_of_the_script(degrees: f64) -> f64 {
+    const EDGE: f64 = 1.0 - 1e-4;
+    let cosine = degrees.to_radians().cos();
+    let edge = cosine.clamp(-EDGE, EDGE);
+    (edge.acos() - (cosine - edge) / (1.0 - edge * edge).sqrt()).to_degrees()
 }
 
 fn pointmaps_of(case: &Case, points: &str, confidence: &str) -> Result<Vec<Pointmap>> {

@@ -12,6 +12,7 @@ mod case;
 mod comparison;
 mod geometry;
 mod layers;
+mod lpips;
 mod mobilesamv2;
 mod mvdust3r;
 mod photos;
@@ -47,6 +48,7 @@ fn runner(model: &str) -> Option<Runner> {
         "estimate_focal" => geometry::estimate_focals,
         "demo_geometry" => geometry::demo_geometry,
         "metrics" => geometry::metrics,
+        "lpips" => lpips::distances,
         other => return mobilesamv2::runner(other).or_else(|| see3d::runner(other)),
     })
 }

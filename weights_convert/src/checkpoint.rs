@@ -86,10 +86,12 @@ impl OpenFile {
         let refuse = |problem: &str, remedy: &str| Err(Error::file(path, problem, remedy));
         if torch::starts_as_zip(head) {
             torch::contents(path, file, *length)
+        } else if torch::legacy::starts_as_legacy(head) {
+            torch::legacy::contents(path, file, *length)
         } else if head.starts_with(b"\x80") && head.get(1).is_some_and(|n| (1..=5).contains(n)) {
             refuse(
-                "in the format of PyTorch before 1.6, which is not read",
-                "save it again where it was made: torch.save(torch.load(OLD), NEW) in Python",
+                "a pickle of Python that torch.save has not written",
+                "save it again where it was made: torch.save(STATE_DICT, NEW) in Python",
             )
         } else if head.get(8) == Some(&b'{') {
             safetensors_file::contents(path, file, *length)
@@ -182,7 +184,33 @@ impl Checkpoint {
         }
     }
 
-    /// The file.
+    /// This checkpoint with the tensors of `other` as well: of a network that is published in several.
+    ///
+    /// # Errors
+    ///
+    /// If a tensor is in both.
+    pub(crate) fn and(mut self, other: Self) -> Result<Self> {
+        let before = self.files.len();
+        for (name, mut placed) in other.tensors {
+            placed.file += before;
+            if self.tensors.contains_key(&name) {
+                return Err(Error::file(
+                    &other.path,
+                    format!(
+                        "has a tensor `{}` as {} has",
+                        excerpt(&name),
+                        self.path.display()
+                    ),
+                    "give files that complete each other",
+                ));
+            }
+            self.tensors.insert(name, placed);
+        }
+        self.files.extend(other.files);
+        Ok(self)
+    }
+
+    /// The file; the first of several that were put together.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -1,6 +1,6 @@
 //! Published checkpoints to the form in which tid3r reads them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::folder::{ConfigFile, NewFolder, Provenance};
 use crate::networks::{Hints, Plan};
@@ -12,7 +12,7 @@ use crate::{
 
 /// How a checkpoint is converted.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct ConvertOptions {
+pub struct ConvertOptions<'a> {
     /// The type of the numbers to write.
     pub precision: Precision,
     /// Whether weights that are in the folder already are replaced.
@@ -21,6 +21,9 @@ pub struct ConvertOptions {
     pub heads: Option<(usize, usize)>,
     /// Which network it must be of: where several have the same tensors, it is.
     pub network: Option<&'static Network>,
+    /// Checkpoints with the tensors that the first one lacks, for a network that is published in several
+    /// files: LPIPS.
+    pub with: &'a [PathBuf],
 }
 
 /// Converts the checkpoint at `source` to `model.safetensors` and `config.json` in `folder`.
@@ -47,7 +50,7 @@ pub struct ConvertOptions {
 pub fn convert(
     source: &Path,
     folder: &Path,
-    options: &ConvertOptions,
+    options: &ConvertOptions<'_>,
     progress: &mut dyn FnMut(Step),
 ) -> Result<Written> {
     NewFolder::check(folder, options.replace)?;
@@ -59,24 +62,29 @@ pub fn convert(
 /// # Errors
 ///
 /// As [`convert()`], but for those about values and about the folder.
-pub fn network_of(source: &Path, options: &ConvertOptions) -> Result<&'static Network> {
+pub fn network_of(source: &Path, options: &ConvertOptions<'_>) -> Result<&'static Network> {
     Ok(Conversion::plan(source, options)?.plan.config.network())
 }
 
 /// A conversion that has been found possible as far as names and shapes tell.
-pub(crate) struct Conversion {
+pub(crate) struct Conversion<'a> {
     checkpoint: Checkpoint,
     plan: Plan,
     /// What tid3r has noted about the checkpoint, if it wrote it.
     ours: Option<ConfigFile>,
     /// What the checkpoint is called.
     source: String,
-    options: ConvertOptions,
+    options: ConvertOptions<'a>,
 }
 
-impl Conversion {
-    pub(crate) fn plan(source: &Path, options: &ConvertOptions) -> Result<Self> {
-        let checkpoint = Checkpoint::open(&checkpoint_at(source)?)?;
+impl<'a> Conversion<'a> {
+    pub(crate) fn plan(source: &Path, options: &ConvertOptions<'a>) -> Result<Self> {
+        let mut checkpoint = Checkpoint::open(&checkpoint_at(source)?)?;
+        let mut name = file_name(checkpoint.path());
+        for other in options.with {
+            checkpoint = checkpoint.and(Checkpoint::open(other)?)?;
+            name = format!("{name} + {}", file_name(other));
+        }
         let path = checkpoint.path();
         let ours = (checkpoint.metadata().contains_key("converter"))
             .then(|| ConfigFile::read(&path.with_file_name(CONFIG_FILE)))
@@ -96,7 +104,7 @@ impl Conversion {
             ));
         }
         Ok(Self {
-            source: file_name(path),
+            source: name,
             checkpoint,
             plan,
             ours,

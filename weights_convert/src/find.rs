@@ -8,7 +8,8 @@ use serde::Serialize;
 
 use crate::repository::{Repository, checkpoint_at};
 use crate::{
-    CONFIG_FILE, Checkpoint, ConfigFile, Error, Network, Result, Source, Step, WEIGHTS_FILE, hash,
+    Beside, CONFIG_FILE, Checkpoint, ConfigFile, Error, Network, Result, Source, Step,
+    WEIGHTS_FILE, hash,
 };
 
 /// The environment variable that names the folder of all weights: each network's are in
@@ -276,8 +277,15 @@ impl Places {
             None => {
                 let file = network.files[0];
                 let name = file.rsplit('/').next().unwrap_or(file);
+                let (also, with) = match network.beside {
+                    Some(Beside { file, source }) => (
+                        format!(" and {file} from {source}"),
+                        format!(" --with {file}"),
+                    ),
+                    None => (String::new(), String::new()),
+                };
                 format!(
-                    "get {file} from {} ({}), then `tid3r weights convert {name} -o {target}`{export}",
+                    "get {file} from {}{also} ({}), then `tid3r weights convert {name}{with} -o {target}`{export}",
                     network.source, network.licence
                 )
             }

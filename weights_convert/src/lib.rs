@@ -47,7 +47,7 @@ pub use error::{Error, Result};
 pub use find::{Found, Place, Places, find};
 pub use folder::{CONFIG_FILE, ConfigFile, Provenance, WEIGHTS_FILE, Written};
 pub use manifest::{Manifest, TensorSpec};
-pub use networks::{Config, Network, Source, see3d};
+pub use networks::{Beside, Config, Network, Source, see3d};
 pub use precision::Precision;
 pub use progress::Step;
 pub use repository::Repository;

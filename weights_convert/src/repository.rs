@@ -129,7 +129,7 @@ impl Repository {
     pub fn convert(
         &self,
         models: &Path,
-        options: &ConvertOptions,
+        options: &ConvertOptions<'_>,
         progress: &mut dyn FnMut(Step),
     ) -> Result<Vec<Written>> {
         let plan = |part: &Part| {
@@ -141,7 +141,7 @@ impl Repository {
             let name = part.file.file_name().unwrap_or_default();
             Ok(conversion.with_source(&part.place.join(name)))
         };
-        let planned: Vec<Conversion> = self.parts.iter().map(plan).collect::<Result<_>>()?;
+        let planned: Vec<Conversion<'_>> = self.parts.iter().map(plan).collect::<Result<_>>()?;
         let mut written = Vec::new();
         for (part, conversion) in self.parts.iter().zip(planned) {
             let folder = models.join(part.network.name);

@@ -55,6 +55,8 @@ pub(crate) enum Adjustment {
     Times(&'static str, f32),
     /// Tensors whose names end so have this value everywhere.
     Constant(&'static str, f32),
+    /// Tensors whose names end so have no sign.
+    Magnitude(&'static str),
     /// Tensors whose names end so are 0, 1, 2, ..
     Counting(&'static str),
 }
@@ -174,6 +176,7 @@ struct Elements {
     start: u64,
     rule: Rule,
     factor: f32,
+    unsigned: bool,
 }
 
 /// How `v` becomes the value of an element.
@@ -202,6 +205,7 @@ impl Elements {
             start: fnv1a64(name) ^ seed,
             rule,
             factor: 1.0,
+            unsigned: false,
         }
     }
 
@@ -212,6 +216,7 @@ impl Elements {
                 Adjustment::Constant(end, value) if name.ends_with(end) => {
                     self.rule = Rule::Constant(value);
                 }
+                Adjustment::Magnitude(end) if name.ends_with(end) => self.unsigned = true,
                 Adjustment::Counting(end) if name.ends_with(end) => self.rule = Rule::Counting,
                 _ => {}
             }
@@ -224,6 +229,7 @@ impl Elements {
             start: fnv1a64(&format!("input:{name}")),
             rule: Rule::Itself,
             factor: 1.0,
+            unsigned: false,
         }
     }
 
@@ -238,7 +244,8 @@ impl Elements {
             Rule::Constant(value) => value,
             Rule::Counting => index as f32,
         };
-        value * self.factor
+        let value = value * self.factor;
+        if self.unsigned { value.abs() } else { value }
     }
 
     fn take(&self, count: usize) -> Vec<f32> {

@@ -15,7 +15,8 @@ use tid3r_weights_convert::{
     synthesize, verify,
 };
 
-const HEADS: ConvertOptions = ConvertOptions {
+const HEADS: ConvertOptions<'_> = ConvertOptions {
+    with: &[],
     precision: Precision::F32,
     replace: false,
     heads: Some((2, 2)),

@@ -9,7 +9,9 @@ use std::fs::{self, File};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
-use common::{Tensor, entries, pickle, rebuild, safetensors, state_dict, torch_zip, zip_of};
+use common::{
+    Tensor, entries, pickle, rebuild, safetensors, state_dict, torch_legacy, torch_zip, zip_of,
+};
 use proptest::prelude::*;
 use tid3r_weights_convert::{Checkpoint, ConvertOptions, convert};
 use zip::CompressionMethod;
@@ -108,13 +110,81 @@ fn files_that_are_no_checkpoint() {
         b"version https://git-lfs.github.com/spec/v1\n",
         "not a checkpoint",
     );
-    refused(b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19.", "before 1.6");
+    refused(b"\x80\x02K\x01.", "torch.save has not written");
 
     let folder = tempfile::tempdir().unwrap();
     let message = open_at(folder.path()).unwrap_err();
     assert!(message.contains("a folder"), "{message}");
     let message = open_at(&folder.path().join("nowhere.pth")).unwrap_err();
     assert!(message.contains("nowhere.pth"), "{message}");
+}
+
+#[test]
+fn files_of_older_pytorch_are_read() {
+    let mut first = one();
+    first.transpose();
+    let tensors = [
+        first,
+        Tensor::f16("b", &[3], 1.5),
+        Tensor::f32("c", &[2], &[7.0, 8.0]),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.pth");
+    fs::write(&path, torch_legacy(&tensors)).unwrap();
+    let checkpoint = Checkpoint::open(&path).unwrap();
+    for (name, wanted) in [
+        ("w.weight", &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0][..]),
+        ("b", &[1.5; 3]),
+        ("c", &[7.0, 8.0]),
+    ] {
+        let mut found = Vec::new();
+        let take = |values: &[f32]| {
+            found.extend_from_slice(values);
+            Ok(())
+        };
+        checkpoint.read(name, take).unwrap();
+        assert_eq!(found, wanted, "{name}");
+    }
+}
+
+#[test]
+fn files_of_older_pytorch_that_are_damaged_are_refused() {
+    let whole = torch_legacy(&[one()]);
+    for length in 16..whole.len() {
+        refused(&whole[..length], "");
+    }
+    let changed = |from: &[u8], to: &[u8]| {
+        let at = whole
+            .windows(from.len())
+            .position(|part| part == from)
+            .unwrap();
+        [&whole[..at], to, &whole[at + from.len()..]].concat()
+    };
+    let version = 1001_i64.to_le_bytes();
+    refused(&changed(&version, &1002_i64.to_le_bytes()), "not known");
+    refused(
+        &changed(b"little_endian\x88", b"little_endian\x89"),
+        "little-endian",
+    );
+    refused(
+        &changed(b"](X\x01\x00\x00\x000e", b"](X\x01\x00\x00\x001e"),
+        "no tensor is in",
+    );
+    refused(
+        &changed(b"](X\x01\x00\x00\x000e", b"N"),
+        "order of its storages",
+    );
+    // The storage's own number of elements, before its first.
+    let numbers = [&6_i64.to_le_bytes()[..], &1_f32.to_le_bytes()].concat();
+    for claimed in [7_i64, i64::MAX, -1] {
+        let more = [&claimed.to_le_bytes()[..], &1_f32.to_le_bytes()].concat();
+        refused(&changed(&numbers, &more), "cut short");
+    }
+    let fewer = [&5_i64.to_le_bytes()[..], &1_f32.to_le_bytes()].concat();
+    refused(
+        &changed(&numbers, &fewer),
+        "has 20 bytes where 24 are announced",
+    );
 }
 
 #[test]
@@ -497,9 +567,13 @@ proptest! {
     fn no_damage_brings_it_down(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         end in prop::option::weighted(0.2, any::<prop::sample::Index>()),
-        zip: bool,
+        kind in 0..3,
     ) {
-        let mut bytes = if zip { with(Tensor::transpose) } else { safetensors(&[one()]) };
+        let mut bytes = match kind {
+            0 => with(Tensor::transpose),
+            1 => torch_legacy(&[one(), Tensor::f16("b", &[3], 1.0)]),
+            _ => safetensors(&[one()]),
+        };
         for (index, byte) in changes {
             let at = index.index(bytes.len());
             bytes[at] = byte;

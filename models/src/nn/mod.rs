@@ -46,7 +46,7 @@ pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use linear_attention::linear_attention;
 pub use mlp::Mlp;
-pub use pool::max_pool;
+pub use pool::{max_pool, max_pool_within};
 pub use resize::{resize_bicubic, resize_bilinear, upsample_nearest};
 pub use rope::{Rope2d, Rotation};
 pub use upscaling::Upscaling;

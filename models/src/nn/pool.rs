@@ -2,7 +2,7 @@
 
 use candle_core::{Result, Tensor, bail};
 
-use super::cpu::{self, HostTensor, Isa};
+use super::cpu::{self, HostTensor, Isa, Windows};
 
 /// The greatest number of each channel in the `kernel` x `kernel` window around each pixel of `x` (batch,
 /// height, width, channels), of the same shape. Windows end at the image, as if negative infinity
@@ -17,9 +17,52 @@ pub fn max_pool(x: &Tensor, kernel: usize) -> Result<Tensor> {
         bail!("a kernel of odd size is wanted, got {kernel}");
     }
     match HostTensor::fits(x) {
-        true => cpu::max_pool(Isa::current()?, x, kernel),
+        true => cpu::max_pool(Isa::current()?, x, around(kernel)),
         false => plain(x, kernel),
     }
+}
+
+/// A window around each pixel.
+fn around(kernel: usize) -> Windows {
+    Windows {
+        kernel,
+        stride: 1,
+        beyond: kernel / 2,
+    }
+}
+
+/// The greatest number of each channel in the `kernel` x `kernel` windows of `x` (batch, height, width,
+/// channels), of which the next begins `stride` pixels further: `height` becomes `(height - kernel) / stride +
+/// 1`, rounded down, and `width` likewise.
+///
+/// # Errors
+///
+/// If `kernel` or `stride` is 0, no window fits into `x`, or it has another shape.
+pub fn max_pool_within(x: &Tensor, kernel: usize, stride: usize) -> Result<Tensor> {
+    let (_, height, width, _) = x.dims4()?;
+    if kernel == 0 || stride == 0 || height.min(width) < kernel {
+        bail!(
+            "there are no windows of {kernel} x {kernel} pixels, {stride} apart, in {height} x {width}"
+        );
+    }
+    let windows = Windows {
+        kernel,
+        stride,
+        beyond: 0,
+    };
+    match HostTensor::fits(x) {
+        true => cpu::max_pool(Isa::current()?, x, windows),
+        false => plain_within(x, kernel, stride),
+    }
+}
+
+/// The same by candle's own operations.
+fn plain_within(x: &Tensor, kernel: usize, stride: usize) -> Result<Tensor> {
+    x.permute((0, 3, 1, 2))?
+        .contiguous()?
+        .max_pool2d_with_stride(kernel, stride)?
+        .permute((0, 2, 3, 1))?
+        .contiguous()
 }
 
 /// The pooling by candle's own operations. Repeating the border's pixels is as good as negative
@@ -71,9 +114,28 @@ mod tests {
             let x = Tensor::randn(-1.0_f32, 1.0, size, &Device::Cpu).unwrap();
             let want = plain(&x, kernel).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
             for isa in Isa::available() {
-                let got = cpu::max_pool(isa, &x, kernel).unwrap();
+                let got = cpu::max_pool(isa, &x, around(kernel)).unwrap();
                 prop_assert_eq!(got.dims(), x.dims());
                 prop_assert_eq!(&got.flatten_all().unwrap().to_vec1::<f32>().unwrap(), &want);
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn within_the_image_as_by_candle(
+            size in (1_usize..3, 3_usize..12, 3_usize..12, 1_usize..20),
+            kernel in 1_usize..4,
+            stride in 1_usize..4,
+        ) {
+            let x = Tensor::randn(-1.0_f32, 1.0, size, &Device::Cpu).unwrap();
+            let want = plain_within(&x, kernel, stride).unwrap();
+            let windows = Windows { kernel, stride, beyond: 0 };
+            for isa in Isa::available() {
+                let got = cpu::max_pool(isa, &x, windows).unwrap();
+                prop_assert_eq!(got.dims(), want.dims());
+                let [got, want] = [&got, &want].map(|x| x.flatten_all().unwrap().to_vec1::<f32>().unwrap());
+                prop_assert_eq!(got, want);
             }
         }
     }
@@ -83,6 +145,14 @@ mod tests {
         let zeros = |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu);
         assert!(max_pool(&zeros(&[1, 3, 3, 2]).unwrap(), 2).is_err());
         assert!(max_pool(&zeros(&[3, 3, 2]).unwrap(), 3).is_err());
+        assert!(max_pool_within(&zeros(&[1, 2, 9, 2]).unwrap(), 3, 2).is_err());
+        assert!(max_pool_within(&zeros(&[1, 9, 9, 2]).unwrap(), 3, 0).is_err());
+        assert_eq!(
+            max_pool_within(&zeros(&[1, 3, 8, 2]).unwrap(), 3, 2)
+                .unwrap()
+                .dims(),
+            [1, 1, 3, 2]
+        );
         assert!(max_pool(&zeros(&[0, 3, 3, 2]).unwrap(), 3).is_ok());
     }
 }

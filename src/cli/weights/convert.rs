@@ -17,12 +17,19 @@ use tid3r_weights_convert::{self as weights, ConvertOptions, Network, Places, Re
 /// converted to a folder of its name in FOLDER; those that have been converted before are kept, so that the
 /// same command goes on where it was stopped. A part of it alone, such as MVD_weights/vae, is converted to
 /// FOLDER itself.
+///
+/// LPIPS is published in two files: `convert alexnet-owt-7be5be79.pth --with alex.pth`, or `convert
+/// vgg16-397923af.pth --with vgg.pth`.
 #[derive(Debug, Args)]
 pub(super) struct Convert {
     /// The checkpoint, its folder, that of all of See3D, or a network's name for what is in the local cache
     /// of Hugging Face
     #[arg(value_name = "CHECKPOINT")]
     source: PathBuf,
+    /// A checkpoint with the tensors that the first one lacks: the heads of LPIPS, which complete
+    /// torchvision's AlexNet or VGG16
+    #[arg(long, value_name = "CHECKPOINT")]
+    with: Vec<PathBuf>,
     #[command(flatten)]
     target: Target,
     /// Which network it is of, if neither its tensors nor its folder say (the UNets of See3D)
@@ -50,6 +57,7 @@ impl Convert {
             replace: self.target.force,
             heads: self.heads,
             network: self.network.as_deref().map(Network::named).transpose()?,
+            with: &self.with,
         };
         if let Some(repository) = Repository::at(&source) {
             return self.convert_all(&repository, &options, &places, terminal);
@@ -95,10 +103,17 @@ impl Convert {
     fn convert_all(
         &self,
         repository: &Repository,
-        options: &ConvertOptions,
+        options: &ConvertOptions<'_>,
         places: &Places,
         terminal: &Terminal,
     ) -> Result<()> {
+        if let Some(other) = self.with.first() {
+            bail!(
+                "several networks are in {}, and {} completes none of them; leave --with out",
+                repository.root().display(),
+                other.display()
+            );
+        }
         if self.network.is_some() {
             bail!(
                 "several networks are in {}; give the folder of one of them with --network, or no \

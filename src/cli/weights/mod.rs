@@ -157,11 +157,18 @@ impl List {
                 (None, Some(message)) => format!("no: {message}"),
                 (None, None) => "no".to_string(),
             };
+            let beside = network.beside.map_or_else(String::new, |beside| {
+                format!("; with {}: {}", beside.source, beside.file)
+            });
             output::line(format!("{}  ({})", network.name, network.title))?;
             for (what, value) in [
                 (
                     "weights",
-                    format!("{}: {}", network.source, network.files.join(", or ")),
+                    format!(
+                        "{}: {}{beside}",
+                        network.source,
+                        network.files.join(", or ")
+                    ),
                 ),
                 ("for", network.purpose.to_string()),
                 ("code", network.upstream.to_string()),

@@ -5,6 +5,7 @@
 //! out from a checkpoint what configuration it is of.
 
 mod constructor;
+mod lpips;
 mod mobilesamv2;
 mod mvdust3r;
 mod plan;
@@ -15,6 +16,7 @@ use std::fmt;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize, Serializer};
+use tid3r_models::lpips as perceptual;
 use tid3r_models::mobilesamv2::{decoder, detector, efficient_vit, tiny_vit, vit};
 use tid3r_models::mvdust3r as dust3r;
 use tid3r_models::see3d::{clip, unet, vae};
@@ -40,6 +42,9 @@ pub struct Network {
     /// converted together.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub folder: Option<&'static str>,
+    /// A checkpoint that completes it, where no file has all tensors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beside: Option<Beside>,
     /// What it is needed for.
     pub purpose: &'static str,
     /// Where its code is published.
@@ -61,6 +66,15 @@ impl PartialEq for Network {
     fn eq(&self, other: &Self) -> bool {
         self.name == other.name
     }
+}
+
+/// A checkpoint that completes another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Beside {
+    /// Its name.
+    pub file: &'static str,
+    /// The page that leads to it.
+    pub source: &'static str,
 }
 
 /// Where weights are published; in JSON and in messages, its address.
@@ -87,7 +101,7 @@ impl Serialize for Source {
     }
 }
 
-static NETWORKS: [Network; 13] = [
+static NETWORKS: [Network; 15] = [
     mvdust3r::MV_DUST3R,
     mvdust3r::MV_DUST3R_PLUS,
     mobilesamv2::DETECTOR,
@@ -101,6 +115,8 @@ static NETWORKS: [Network; 13] = [
     see3d::VAE,
     see3d::IMAGE_ENCODER,
     see3d::TEXT_ENCODER,
+    lpips::ALEX,
+    lpips::VGG,
 ];
 
 impl Network {
@@ -215,6 +231,9 @@ pub enum Config {
     /// The text encoder of See3D.
     #[serde(rename = "see3d-text-encoder")]
     TextEncoder(see3d::TextEncoderConfig),
+    /// LPIPS on either classifier.
+    #[serde(rename = "lpips")]
+    Lpips(perceptual::Config),
 }
 
 impl Config {
@@ -241,6 +260,7 @@ impl Config {
             Self::Vae(config) => vae::Vae::tensors(config),
             Self::ImageEncoder(config) => clip::VisionEncoder::tensors(&config.vision),
             Self::TextEncoder(config) => clip::TextEncoder::tensors(&config.text),
+            Self::Lpips(config) => perceptual::Lpips::tensors(config),
         };
         tensors.map_err(|e| first_line(&e))
     }
@@ -263,6 +283,10 @@ impl Config {
             Self::Vae(_) => &see3d::VAE,
             Self::ImageEncoder(_) => &see3d::IMAGE_ENCODER,
             Self::TextEncoder(_) => &see3d::TEXT_ENCODER,
+            Self::Lpips(config) => match config.net {
+                perceptual::Net::Alex => &lpips::ALEX,
+                perceptual::Net::Vgg => &lpips::VGG,
+            },
         }
     }
 }

@@ -19,6 +19,7 @@ pub(super) const MV_DUST3R: Network = Network {
     source: Source::HuggingFace("Zhenggang/MV-DUSt3R"),
     files: &["checkpoints/MVD.pth"],
     folder: None,
+    beside: None,
     purpose: "reconstruction from photos",
     upstream: "https://github.com/facebookresearch/mvdust3r",
     licence: "CC BY-NC 4.0, non-commercial use only",

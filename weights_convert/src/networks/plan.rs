@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{Config, Network, mobilesamv2, mvdust3r, see3d};
+use super::{Config, Network, lpips, mobilesamv2, mvdust3r, see3d};
 use crate::error::excerpt;
 use crate::{Checkpoint, Error, Result};
 
@@ -39,6 +39,9 @@ impl Plan {
             return Ok(plan);
         }
         if let Some(plan) = see3d::plan(checkpoint, &hints)? {
+            return Ok(plan);
+        }
+        if let Some(plan) = lpips::plan(checkpoint, &hints)? {
             return Ok(plan);
         }
         let shapes = checkpoint.shapes();

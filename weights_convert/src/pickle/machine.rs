@@ -66,8 +66,8 @@ mod op {
     pub(super) const BYTEARRAY8: u8 = 0x96;
 }
 
-/// Follows the pickle in `bytes` to its end.
-pub(super) fn run(bytes: &[u8]) -> Result<Pickle<'_>, PickleError> {
+/// Follows the pickle that `bytes` begin with to its end, and says where that is.
+pub(super) fn run(bytes: &[u8]) -> Result<(Pickle<'_>, usize), PickleError> {
     let mut machine = Machine {
         bytes,
         at: 0,
@@ -83,10 +83,10 @@ pub(super) fn run(bytes: &[u8]) -> Result<Pickle<'_>, PickleError> {
         machine.run(&mut position)
     };
     match root {
-        Ok(root) => Ok(Pickle {
-            nodes: machine.nodes,
-            root,
-        }),
+        Ok(root) => {
+            let nodes = machine.nodes;
+            Ok((Pickle { nodes, root }, machine.at))
+        }
         Err(problem) => Err(PickleError { position, problem }),
     }
 }

@@ -14,6 +14,7 @@
 
 mod machine;
 
+use std::borrow::Cow;
 use std::fmt;
 
 use crate::error::excerpt;
@@ -101,7 +102,21 @@ impl<'a> Pickle<'a> {
     /// If it is cut short, has an instruction that is not known, uses the stack wrongly, or is
     /// larger than any checkpoint's.
     pub(crate) fn read(bytes: &'a [u8]) -> Result<Self, PickleError> {
+        Ok(Self::read_first(bytes)?.0)
+    }
+
+    /// Reads the pickle that `bytes` begin with, and says how many of them it has.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::read`].
+    pub(crate) fn read_first(bytes: &'a [u8]) -> Result<(Self, usize), PickleError> {
         machine::run(bytes)
+    }
+
+    /// All nodes.
+    pub(crate) fn ids(&self) -> impl Iterator<Item = Id> {
+        (0..self.nodes.len() as u32).map(Id)
     }
 
     /// The whole.
@@ -124,14 +139,39 @@ impl<'a> Pickle<'a> {
     }
 
     /// The entries of a dictionary, ordered or not; of keys that occur twice, the last counts.
-    pub(crate) fn entries(&self, id: Id) -> Option<&[(Id, Id)]> {
+    pub(crate) fn entries(&self, id: Id) -> Option<Cow<'_, [(Id, Id)]>> {
         match self.get(id) {
-            Node::Dict(items) => Some(items),
+            Node::Dict(items) => Some(items.into()),
             Node::Object(object) if self.is_global(object.callable, ORDERED_DICT) => {
-                Some(&object.items)
+                match self.listed_entries(object.arguments) {
+                    Some(items) if object.items.is_empty() => Some(items.into()),
+                    _ => Some((&object.items).into()),
+                }
             }
             _ => None,
         }
+    }
+
+    /// The entries that an ordered dictionary is made from: Python 2 hands over a list of lists of key and
+    /// value.
+    fn listed_entries(&self, arguments: Id) -> Option<Vec<(Id, Id)>> {
+        let Node::Tuple(arguments) = self.get(arguments) else {
+            return None;
+        };
+        let &[list] = &arguments[..] else {
+            return None;
+        };
+        let Node::List(pairs) = self.get(list) else {
+            return None;
+        };
+        let entry = |&pair: &Id| match self.get(pair) {
+            Node::List(parts) | Node::Tuple(parts) => match parts[..] {
+                [key, value] => Some((key, value)),
+                _ => None,
+            },
+            _ => None,
+        };
+        pairs.iter().map(entry).collect()
     }
 
     /// The value of a dictionary under a key.

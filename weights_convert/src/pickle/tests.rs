@@ -111,6 +111,16 @@ fn nothing_is_called() {
 }
 
 #[test]
+fn ordered_dictionaries_of_python_2_are_made_from_a_list() {
+    let bytes = b"\x80\x02ccollections\nOrderedDict\n](](U\x01aK\x07e](U\x01bK\x08ee\x85R.";
+    let pickle = Pickle::read(bytes).unwrap();
+    let value = |key| pickle.entry(pickle.root(), key).map(|id| pickle.get(id));
+    assert!(matches!(value("a"), Some(Node::Int(7))));
+    assert!(matches!(value("b"), Some(Node::Int(8))));
+    assert_eq!(pickle.entries(pickle.root()).unwrap().len(), 2);
+}
+
+#[test]
 fn a_list_that_holds_itself_is_data() {
     let pickle = Pickle::read(b"\x80\x02]q\x00h\x00a.").unwrap();
     let Node::List(parts) = pickle.get(pickle.root()) else {

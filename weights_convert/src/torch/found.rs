@@ -101,12 +101,12 @@ pub(super) fn find<'a>(pickle: &Pickle<'a>) -> Result<Found<'a>, String> {
         let value = pickle.entry(root, key)?;
         pickle.entries(value)
     });
-    for &(key, value) in named.unwrap_or(entries) {
+    for &(key, value) in named.unwrap_or(entries).iter() {
         match pickle.entries(value) {
             None => found.tensors.add(pickle, "", key, value)?,
             Some(inner) => {
                 let prefix = joined(pickle, "", key)?;
-                for &(key, value) in inner {
+                for &(key, value) in inner.iter() {
                     found.tensors.add(pickle, &prefix, key, value)?;
                 }
             }

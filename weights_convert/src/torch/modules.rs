@@ -69,7 +69,7 @@ impl Walk<'_, '_> {
             return Err(format!("its modules are nested too deep: `{path}`"));
         }
         let attributes = self.pickle.entries(module.attributes);
-        self.look_at(attributes.map_or(0, <[_]>::len))?;
+        self.look_at(attributes.map_or(0, |entries| entries.len()))?;
         for kind in ["_parameters", "_buffers"] {
             for (key, value) in self.held(module, kind, path)? {
                 self.tensors.add(self.pickle, path, key, value)?;

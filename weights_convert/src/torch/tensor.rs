@@ -1,5 +1,7 @@
 //! A tensor, as PyTorch's pickles describe it.
 
+use std::collections::BTreeMap;
+
 use safetensors::Dtype;
 
 use crate::pickle::{Id, Node, Pickle};
@@ -34,7 +36,10 @@ pub(super) fn view<'a>(pickle: &Pickle<'a>, id: Id) -> Result<View<'a>, String> 
         )) => tensor,
         _ => id,
     };
-    let Some(("torch._utils", "_rebuild_tensor_v2", arguments)) = pickle.call(tensor) else {
+    // The first of these is of PyTorch before 0.4.
+    let Some(("torch._utils", "_rebuild_tensor" | "_rebuild_tensor_v2", arguments)) =
+        pickle.call(tensor)
+    else {
         return Err(format!("{} is no tensor", pickle.describe(tensor)));
     };
     let &[storage, offset, shape, strides, ..] = arguments else {
@@ -55,7 +60,16 @@ pub(super) fn view<'a>(pickle: &Pickle<'a>, id: Id) -> Result<View<'a>, String> 
     Ok(view)
 }
 
-/// ('storage', its type, its name, the device that it was on, how many elements it has)
+/// The bytes of an element of each storage, by its name.
+pub(super) fn storages<'a>(pickle: &Pickle<'a>) -> BTreeMap<&'a str, u64> {
+    let found = pickle.ids().filter_map(|id| storage_of(pickle, id).ok());
+    found
+        .map(|(dtype, key, _)| (key, dtype.bitsize() as u64 / 8))
+        .collect()
+}
+
+/// ('storage', its type, its name, the device that it was on, how many elements it has); before PyTorch 1.6
+/// also which part of another storage it is, or none.
 fn storage_of<'a>(pickle: &Pickle<'a>, id: Id) -> Result<(Dtype, &'a str, usize), String> {
     let bad = || "its storage is described in an unknown way".to_owned();
     let &Node::Persistent(description) = pickle.get(id) else {
@@ -64,9 +78,13 @@ fn storage_of<'a>(pickle: &Pickle<'a>, id: Id) -> Result<(Dtype, &'a str, usize)
     let Node::Tuple(parts) = pickle.get(description) else {
         return Err(bad());
     };
-    let &[tag, kind, key, _device, elements] = &parts[..] else {
+    let (&[tag, kind, key, _device, elements], part) = parts.split_first_chunk().ok_or_else(bad)?;
+    if !part
+        .iter()
+        .all(|&part| matches!(pickle.get(part), Node::None))
+    {
         return Err(bad());
-    };
+    }
     let (Some("storage"), Some(key)) = (pickle.text(tag), pickle.text(key)) else {
         return Err(bad());
     };

@@ -166,6 +166,10 @@ pub(crate) mod pickle {
 
 /// The call that makes a tensor of storage `key`.
 pub(crate) fn rebuild(tensor: &Tensor, key: &str) -> Vec<u8> {
+    rebuild_with(tensor, key, b"")
+}
+
+fn rebuild_with(tensor: &Tensor, key: &str, more: &[u8]) -> Vec<u8> {
     use pickle::{global, int, text, tuple};
     let sizes = |sizes: &[i64]| tuple(&sizes.iter().map(|&n| int(n)).collect::<Vec<_>>());
     let storage = tuple(&[
@@ -173,7 +177,7 @@ pub(crate) fn rebuild(tensor: &Tensor, key: &str) -> Vec<u8> {
         global("torch", tensor.types.0),
         text(key),
         text("cpu"),
-        int(tensor.elements),
+        [int(tensor.elements), more.to_vec()].concat(),
     ]);
     let hooks = [global("collections", "OrderedDict"), b")R".to_vec()].concat();
     let arguments = tuple(&[
@@ -208,9 +212,14 @@ pub(crate) fn state_dict(tensors: &[Tensor]) -> Vec<u8> {
 
 /// The dictionary of tensors, as a part of a pickle.
 pub(crate) fn entries(tensors: &[Tensor]) -> Vec<u8> {
+    entries_with(tensors, b"")
+}
+
+/// The same, with `more` at the end of each storage's description.
+fn entries_with(tensors: &[Tensor], more: &[u8]) -> Vec<u8> {
     let values = tensors.iter().enumerate();
     let values: Vec<_> = values
-        .map(|(i, t)| (t.name.as_str(), rebuild(t, &i.to_string())))
+        .map(|(i, t)| (t.name.as_str(), rebuild_with(t, &i.to_string(), more)))
         .collect();
     pickle::dictionary(&values)
 }
@@ -235,6 +244,27 @@ pub(crate) fn zip_of(files: &[(String, &[u8])], method: CompressionMethod) -> Ve
         zip.write_all(content).unwrap();
     }
     zip.finish().unwrap().into_inner()
+}
+
+/// A file of PyTorch before 1.6 with a state dict of `tensors`.
+pub(crate) fn torch_legacy(tensors: &[Tensor]) -> Vec<u8> {
+    use pickle::{dictionary, int, text, whole};
+    let keys: Vec<u8> = (0..tensors.len())
+        .flat_map(|i| text(&i.to_string()))
+        .collect();
+    let mut file = [
+        &b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."[..],
+        &whole(&int(1001)),
+        &whole(&dictionary(&[("little_endian", b"\x88".to_vec())])),
+        &whole(&entries_with(tensors, b"N")),
+        &whole(&[&b"]("[..], &keys, b"e"].concat()),
+    ]
+    .concat();
+    for tensor in tensors {
+        file.extend(tensor.elements.to_le_bytes());
+        file.extend(&tensor.bytes);
+    }
+    file
 }
 
 /// A safetensors file.
@@ -262,7 +292,7 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
 pub(crate) fn quietly(
     source: &Path,
     folder: &Path,
-    options: &ConvertOptions,
+    options: &ConvertOptions<'_>,
 ) -> Result<Written, String> {
     convert(source, folder, options, &mut |_| ()).map_err(|e| e.to_string())
 }

@@ -44,7 +44,8 @@ const NETWORKS: [(&str, &str); 6] = [
 
 const UNET: &str = "unet/sparse/ema-checkpoint";
 
-const PLAIN: ConvertOptions = ConvertOptions {
+const PLAIN: ConvertOptions<'_> = ConvertOptions {
+    with: &[],
     precision: Precision::F32,
     replace: false,
     heads: None,
@@ -108,7 +109,7 @@ impl Copy {
     }
 
     /// Converts a part of it alone.
-    fn part(&self, name: &str, options: &ConvertOptions) -> Result<(Written, Config), String> {
+    fn part(&self, name: &str, options: &ConvertOptions<'_>) -> Result<(Written, Config), String> {
         let out = tempfile::tempdir().unwrap();
         let written = quietly(&self.at(name), out.path(), options)?;
         let file = ConfigFile::read(&out.path().join("config.json")).unwrap();
@@ -116,7 +117,7 @@ impl Copy {
     }
 
     /// Converts all of it.
-    fn all(&self, options: &ConvertOptions) -> Result<Vec<Written>, String> {
+    fn all(&self, options: &ConvertOptions<'_>) -> Result<Vec<Written>, String> {
         let repository = Repository::at(&self.root()).unwrap();
         let written = repository.convert(&self.models(), options, &mut |_| ());
         written.map_err(|e| e.to_string())

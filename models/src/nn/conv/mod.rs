@@ -38,7 +38,7 @@ pub enum Precision {
 
 /// A 2D convolution with an odd square kernel and `kernel / 2` zeros around the image. With stride
 /// `s`, `height` becomes `height / s`, rounded up, and `width` likewise; without, sizes stay
-/// ([`Self::with_padding_after`] is an exception). Images are (batch, height, width, channels): channels
+/// ([`Self::with_padding`] and [`Self::with_padding_after`] are exceptions). Images are (batch, height, width, channels): channels
 /// last.
 ///
 /// On a CPU, Winograd's algorithm is used for 3x3 and 5x5 kernels of stride 1 with at least 32 channels.
@@ -127,6 +127,21 @@ impl Conv2d {
         Self {
             steps: Steps {
                 stride,
+                ..self.steps
+            },
+            prepared: Arc::default(),
+            ..self
+        }
+    }
+
+    /// The same convolution with so many zeros on each side of the image: `height` becomes `(height + 2 *
+    /// padding - kernel) / stride + 1`, rounded down, and `width` likewise.
+    #[must_use]
+    pub fn with_padding(self, padding: usize) -> Self {
+        Self {
+            steps: Steps {
+                before: padding,
+                after: padding,
                 ..self.steps
             },
             prepared: Arc::default(),
@@ -365,13 +380,14 @@ impl Conv2d {
     pub(in crate::nn) fn plain(&self, x: &Tensor) -> Result<Tensor> {
         let (weight, bias) = self.parameters.tensors()?;
         let Steps {
-            kernel,
             stride,
             before,
+            after,
+            ..
         } = self.steps;
         x.permute((0, 3, 1, 2))?
-            .pad_with_zeros(2, before, kernel / 2)?
-            .pad_with_zeros(3, before, kernel / 2)?
+            .pad_with_zeros(2, before, after)?
+            .pad_with_zeros(3, before, after)?
             .contiguous()?
             .conv2d(&weight, 0, stride, 1, 1)?
             .permute((0, 2, 3, 1))?

@@ -51,6 +51,27 @@ fn like_candle() {
 }
 
 #[test]
+fn paddings_like_candle() {
+    for (kernel, stride, padding) in [(11, 4, 2), (3, 1, 0), (5, 1, 4)] {
+        for inputs in [3, 34] {
+            let conv = conv(inputs, 40, kernel)
+                .with_stride(stride)
+                .with_padding(padding);
+            let x = image((2, 17, 22, inputs));
+            let got = conv.forward(&x, Activation::Relu).unwrap();
+            let along = |size: usize| (size + 2 * padding - kernel) / stride + 1;
+            assert_eq!(got.dims(), [2, along(17), along(22), 40]);
+            let plain = Activation::Relu.apply(&conv.plain(&x).unwrap()).unwrap();
+            assert!(
+                error(&got, &plain) < 3e-6,
+                "{conv:?}: {}",
+                error(&got, &plain)
+            );
+        }
+    }
+}
+
+#[test]
 fn strides_without_bias_like_candle() {
     for (inputs, outputs, kernel) in [(3, 40, 3), (40, 33, 3), (34, 3, 5), (5, 7, 1)] {
         for stride in [1, 2] {

@@ -51,6 +51,6 @@ pub(super) use host::HostTensor;
 pub(super) use layer_norm::layer_norm;
 pub(super) use linear::{gated_linear, linear};
 pub(super) use linear_attention::linear_attention;
-pub(super) use resample::{Taps, max_pool, resize};
+pub(super) use resample::{Taps, Windows, max_pool, resize};
 pub(super) use rope::rotate;
 pub(super) use upscaling::{UpscalingWeights, upscaled_products};

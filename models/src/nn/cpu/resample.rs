@@ -1,6 +1,8 @@
 //! Pooling and resizing: rows first, into one row that stays in the cache, then pixels.
 
-use candle_core::{Device, Result, Tensor};
+use std::ops::Range;
+
+use candle_core::{DType, Device, Result, Tensor};
 use rayon::prelude::*;
 
 use super::isa::Task;
@@ -53,32 +55,61 @@ pub(in crate::nn) fn resize<const N: usize>(
     Tensor::from_vec(values, shape, &Device::Cpu)
 }
 
-/// The greatest of each channel of `x` (batch, height, width, channels), f32 on the CPU, in the window of
-/// `kernel` x `kernel` around each pixel, as far as it is inside.
+/// How windows of which the greatest number is taken go over an image.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::nn) struct Windows {
+    /// Rows and columns of a window.
+    pub(in crate::nn) kernel: usize,
+    /// Pixels from one window to the next, more than 0.
+    pub(in crate::nn) stride: usize,
+    /// How far the first window begins before the image, and the last one may end behind it; less than
+    /// `kernel`.
+    pub(in crate::nn) beyond: usize,
+}
+
+impl Windows {
+    /// How many there are along an axis of this size.
+    pub(in crate::nn) fn along(self, size: usize) -> usize {
+        let last = (size + 2 * self.beyond).checked_sub(self.kernel);
+        last.map_or(0, |last| last / self.stride + 1)
+    }
+
+    /// The part of window `i` that is inside.
+    fn inside(self, i: usize, size: usize) -> Range<usize> {
+        let start = i * self.stride;
+        start.saturating_sub(self.beyond)..(start + self.kernel - self.beyond).min(size)
+    }
+}
+
+/// The greatest of each channel of `x` (batch, height, width, channels), f32 on the CPU, in each window, as
+/// far as it is inside.
 ///
 /// # Errors
 ///
 /// Those of candle.
-pub(in crate::nn) fn max_pool(isa: Isa, x: &Tensor, kernel: usize) -> Result<Tensor> {
+pub(in crate::nn) fn max_pool(isa: Isa, x: &Tensor, windows: Windows) -> Result<Tensor> {
     let (batch, height, width, channels) = x.dims4()?;
+    let shape = (batch, windows.along(height), windows.along(width), channels);
+    if x.elem_count() == 0 {
+        return Tensor::zeros(shape, DType::F32, &Device::Cpu);
+    }
     let _timer = Timer::start(Operation::Elementwise, 0);
     let contiguous = x.contiguous()?;
     let host = HostTensor::new(&contiguous)?;
     let from = &host.data()?[..x.elem_count()];
     let size = width * channels;
-    let values = by_rows(batch * height, size, |row, out| {
-        let y = row % height;
-        let first = row - y.min(kernel / 2);
-        let last = row + (height - 1 - y).min(kernel / 2);
+    let values = by_rows(batch * shape.1, shape.2 * channels, |row, out| {
+        let lines = windows.inside(row % shape.1, height);
+        let image = &from[row / shape.1 * height * size..][..height * size];
         isa.run(Greatest {
-            lines: &from[first * size..(last + 1) * size],
-            radius: kernel / 2,
+            lines: &image[lines.start * size..lines.end * size],
+            windows,
             width,
             channels,
             out,
         });
     });
-    Tensor::from_vec(values, x.shape(), &Device::Cpu)
+    Tensor::from_vec(values, shape, &Device::Cpu)
 }
 
 /// `rows` rows of `size` numbers, each of which `write` writes through the pointer that it gets.
@@ -161,10 +192,10 @@ unsafe fn sum<S: Simd, const N: usize>(
 struct Greatest<'a> {
     /// Rows of `width` pixels.
     lines: &'a [f32],
-    radius: usize,
+    windows: Windows,
     width: usize,
     channels: usize,
-    /// Has room for a row.
+    /// Has room for a row of windows.
     out: *mut f32,
 }
 
@@ -185,15 +216,12 @@ impl Task for Greatest<'_> {
             // SAFETY: as above.
             unsafe { simd.store_up_to(line.as_mut_ptr().add(i), count, most) };
         }
-        for x in 0..self.width {
-            let (first, last) = (
-                x.saturating_sub(self.radius),
-                (x + self.radius).min(self.width - 1),
-            );
+        for x in 0..self.windows.along(self.width) {
+            let pixels = self.windows.inside(x, self.width);
             for c in (0..self.channels).step_by(S::LANES) {
                 let count = S::LANES.min(self.channels - c);
                 let mut most = simd.splat(f32::NEG_INFINITY);
-                for pixel in first..=last {
+                for pixel in pixels.clone() {
                     let from = line[pixel * self.channels + c..].as_ptr();
                     // SAFETY: `count` channels of the pixel follow.
                     most = simd.max(most, unsafe { simd.load_up_to(from, count) });

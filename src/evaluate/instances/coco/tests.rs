@@ -301,8 +301,9 @@ mod formula {
 
     #[test]
     fn results_are_those_of_pycocotools() {
-        // pycocotools 2.0.11: COCOeval, iouType "segm", one category, one area range, maxDets as
-        // here; a scene is an image of its views side by side, masked pixels set to 0 in both.
+        // pycocotools 2.0.11 by tests/fixtures/metrics/instances.py: COCOeval, iouType "segm", one
+        // category, one area range, maxDets as here; a scene is an image of its views side by side,
+        // masked pixels set to 0 in both.
         for (scenes, masked, max, counts, expected) in [
             (
                 1,

@@ -228,7 +228,8 @@ mod formula {
     #[test]
     fn results_are_those_of_the_benchmark_script() {
         // The functions assign_instances_for_scan and evaluate_matches of OpenMask3D's
-        // eval_semantic_instance.py (commit 6488748), one class; points without a truth are of a
+        // eval_semantic_instance.py (commit 6488748), one class, and those of the rules as
+        // tests/fixtures/metrics/instances.py writes them out; points without a truth are of a
         // second valid class, void ones of none.
         for (scenes, with_void, min_region, counts, expected) in [
             (

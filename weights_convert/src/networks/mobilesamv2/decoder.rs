@@ -14,6 +14,7 @@ pub(in crate::networks) const DECODER: Network = Network {
     ),
     files: &["Prompt_guided_Mask_Decoder.pt"],
     folder: None,
+    beside: None,
     purpose: "segmentation: a mask for each box",
     upstream: UPSTREAM,
     licence: "Apache-2.0",

@@ -12,6 +12,7 @@ pub(in crate::networks) const DETECTOR: Network = Network {
     source: README,
     files: &["ObjectAwareModel.pt"],
     folder: None,
+    beside: None,
     purpose: "segmentation: boxes around whatever is a thing",
     upstream: UPSTREAM,
     licence: "Apache-2.0 by the repository that publishes it; \

@@ -22,6 +22,7 @@ pub(in crate::networks) const SPARSE: Network = Network {
         "checkpoint/MVD_weights/unet/sparse/ema-checkpoint/diffusion_pytorch_model.bin",
     ],
     folder: Some(FOLDER),
+    beside: None,
     purpose: "renders guided by several photos",
     upstream: UPSTREAM,
     licence: "none stated by the authors; trained from Stable Diffusion 2.1, which is CreativeML Open \

@@ -259,6 +259,7 @@ impl<'a> Windows<'a> {
             kernel,
             stride,
             before,
+            ..
         } = steps;
         let strided = steps.over(self.images);
         let mut table = Table::new(isa, self.pieces.count(), count, self.zeros.as_ptr());

@@ -71,8 +71,10 @@ pub(in crate::nn) struct Steps {
     pub(in crate::nn) kernel: usize,
     /// Pixels from one window to the next.
     pub(in crate::nn) stride: usize,
-    /// Zeros above and to the left of the image. Below and to the right they are `kernel / 2`.
+    /// Zeros above and to the left of the image.
     pub(in crate::nn) before: usize,
+    /// Zeros below and to the right of it.
+    pub(in crate::nn) after: usize,
 }
 
 impl Steps {
@@ -82,13 +84,14 @@ impl Steps {
             kernel,
             stride,
             before: kernel / 2,
+            after: kernel / 2,
         }
     }
 
     /// The sizes of what a convolution makes of `images`: a pixel for each window.
     pub(in crate::nn) fn over(self, images: Images) -> Images {
         let along = |size: usize| {
-            let padded = size + self.before + self.kernel / 2;
+            let padded = size + self.before + self.after;
             let last = padded.checked_sub(self.kernel);
             last.map_or(0, |last| last / self.stride + 1)
         };

@@ -1,14 +1,21 @@
 //! What is not a product of matrices.
 
 use super::super::{
-    GroupNorm, Isa, Taps, UpscalingWeights, activation, layer_norm, max_pool, resize, rotate,
-    upscaled_products,
+    GroupNorm, Isa, Taps, UpscalingWeights, Windows, activation, layer_norm, max_pool, resize,
+    rotate, upscaled_products,
 };
 use super::{check, numbers, sizes, strided, tensor, values};
 use crate::nn::Activation;
 
 /// Around the lanes of all vectors and the sums that are kept side by side.
 const CHANNELS: [usize; 10] = [9, 1, 7, 8, 15, 16, 17, 33, 65, 130];
+
+/// A window around each pixel.
+const AROUND: Windows = Windows {
+    kernel: 3,
+    stride: 1,
+    beyond: 1,
+};
 
 fn gelu(x: f64) -> f64 {
     0.5 * x * (1.0 + candle_core::cpu::erf::erf_f64(x / 2_f64.sqrt()))
@@ -163,7 +170,7 @@ fn images_are_resized_and_pooled() {
         for isa in Isa::available() {
             let got = resize(isa, &x, &rows, &columns).unwrap();
             check(&(isa, channels), &values(&got), &resized, 1e-6);
-            let got = max_pool(isa, &x, 3).unwrap();
+            let got = max_pool(isa, &x, AROUND).unwrap();
             check(&(isa, channels), &values(&got), &pooled, 0.0);
         }
     }
@@ -239,7 +246,7 @@ fn nothing_is_nothing() {
         assert!(of(activation(isa, Activation::Gelu, &none)).is_empty());
         assert!(of(layer_norm(isa, &none, &[0.0; 5], &[0.0; 5], 1e-3)).is_empty());
         for shape in [[0, 3, 3, 2], [2, 0, 3, 2], [2, 3, 0, 2], [2, 3, 3, 0]] {
-            assert!(of(max_pool(isa, &tensor(&[], &shape), 3)).is_empty());
+            assert!(of(max_pool(isa, &tensor(&[], &shape), AROUND)).is_empty());
         }
     }
 }

@@ -70,12 +70,20 @@ fn images_lie_anywhere() {
 #[test]
 fn windows_go_on_by_steps() {
     for &[height, width, inputs, outputs] in sizes() {
-        for (kernel, stride, before) in [(3, 2, 1), (3, 2, 0), (1, 2, 0), (5, 3, 2)] {
+        for (kernel, stride, before, after) in [
+            (3, 2, 1, 1),
+            (3, 2, 0, 1),
+            (1, 2, 0, 0),
+            (5, 3, 2, 2),
+            (7, 4, 1, 1),
+            (3, 1, 0, 2),
+        ] {
             let layer = Layer {
                 steps: Steps {
                     kernel,
                     stride,
                     before,
+                    after,
                 },
                 ..Layer::random(5, images(2, height, width), inputs, outputs, kernel)
             };

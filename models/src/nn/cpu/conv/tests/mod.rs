@@ -159,6 +159,7 @@ impl Layer {
             kernel,
             stride,
             before,
+            ..
         } = self.steps;
         let strided = self.steps.over(self.images);
         let mut want = Vec::new();

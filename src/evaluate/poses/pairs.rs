@@ -1,25 +1,20 @@
-//! Relative camera poses against their truth, as MV-DUSt3R's training scripts judge them.
-//!
-//! Every pair of views counts, with errors that know neither the frame's origin nor its scale. For views
-//! i and j the script takes `cam_to_world_i * world_to_cam_j`, the motion as seen from the scene's frame;
-//! for its rotation error that is as good as the motion between the cameras, but its translation
-//! depends on where the scene's origin is. So do as it does: both sides in the frame of the first
-//! view.
+//! The motion between each two cameras against the true one: errors that know neither the frame's origin
+//! nor its scale.
 
 use crate::{Error, Result, geometry::Pose};
-use nalgebra::Matrix3;
 use serde::Serialize;
 
-/// How far the predicted motion between two views is from the true one.
+/// How far the predicted motion between two cameras is from the true one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PairError {
-    /// The first view.
+    /// The first camera.
     pub first: usize,
-    /// The second view, after the first.
+    /// The second one, after the first.
     pub second: usize,
-    /// The angle between the rotations, 0 to 180 degrees; never below 0.405, see [`pair_errors`].
+    /// The angle between the rotations, 0 to 180 degrees.
     pub rotation_deg: f64,
-    /// The angle between the translations, whichever way they point: 0 to 90 degrees.
+    /// The angle between the lines along which the translations point: 0 to 90 degrees. The sign does not
+    /// count.
     pub translation_deg: f64,
 }
 
@@ -30,21 +25,23 @@ pub struct PoseAccuracy {
     pub rra_15: f64,
     /// Pairs with a translation error below 15 degrees.
     pub rta_15: f64,
-    /// Pairs with both errors below t degrees: the mean of their share over t = 1, 2, .. 30.
+    /// Pairs with both errors below t degrees: the mean of their share over t = 1, 2, .. 30. Some call it
+    /// AUC@30.
     pub maa_30: f64,
 }
 
-/// The errors of all pairs of views, in the order (0, 1), (0, 2), .. (1, 2), ..; `cam_to_world` both.
+/// The errors of all pairs of cameras, in the order (0, 1), (0, 2), .. (1, 2), ..; `cam_to_world` both.
 ///
-/// - The rotation error is acos((trace - 1) / 2) of the rotation between prediction and truth, continued
-///   by its tangent within 0.0001 of ±1, where the script fears for its gradient. A perfect pair has 0.405
-///   degrees for that.
-/// - The translation error is 90 degrees where one of the translations is 0.
-/// - A pair of which a view has no predicted pose has 180 and 90 degrees. The script knows no such views:
-///   it puts them at (1, 1, 1).
+/// The motion of a pair is the second camera's pose in the frame of the first, as PoseDiffusion, DUSt3R and
+/// VGGT have it. MV-DUSt3R's scripts see it from the scene's frame instead, `cam_to_world_i *
+/// world_to_cam_j`, so that translations depend on the scene's origin: their figures are those of the
+/// inverse poses.
+///
+/// - Where one of the translations is 0, its error is 90 degrees.
+/// - A pair of which a camera was not predicted has 180 and 90 degrees.
 ///
 /// # Errors
-/// When there are fewer than two views, or when their numbers differ.
+/// When there are fewer than two cameras, or when their numbers differ.
 pub fn pair_errors(predicted: &[Option<Pose>], truth: &[Pose]) -> Result<Vec<PairError>> {
     if predicted.len() != truth.len() || truth.len() < 2 {
         return Err(Error::request(
@@ -59,9 +56,8 @@ pub fn pair_errors(predicted: &[Option<Pose>], truth: &[Pose]) -> Result<Vec<Pai
     let views = 0..truth.len();
     let pairs = views.flat_map(|first| (first + 1..truth.len()).map(move |second| (first, second)));
     let error = |(first, second): (usize, usize)| {
-        let true_motion = truth[first] * truth[second].inverse();
         let (rotation_deg, translation_deg) = match (predicted[first], predicted[second]) {
-            (Some(a), Some(b)) => errors(&(a * b.inverse()), &true_motion),
+            (Some(a), Some(b)) => errors(&a.inv_mul(&b), &truth[first].inv_mul(&truth[second])),
             _ => (180.0, 90.0),
         };
         PairError {
@@ -100,9 +96,7 @@ pub fn accuracy(pairs: &[PairError]) -> Result<PoseAccuracy> {
 
 /// In degrees, of rotation and translation.
 fn errors(predicted: &Pose, truth: &Pose) -> (f64, f64) {
-    let matrix = |pose: &Pose| -> Matrix3<f64> { pose.rotation.to_rotation_matrix().into_inner() };
-    let between = matrix(truth) * matrix(predicted).transpose();
-    let rotation = acos_continued((between.trace() - 1.0) / 2.0);
+    let rotation = predicted.rotation.angle_to(&truth.rotation);
     let (a, b) = (predicted.translation.vector, truth.translation.vector);
     let translation = if a.norm() > 0.0 && b.norm() > 0.0 {
         a.cross(&b).norm().atan2(a.dot(&b).abs())
@@ -110,13 +104,6 @@ fn errors(predicted: &Pose, truth: &Pose) -> (f64, f64) {
         std::f64::consts::FRAC_PI_2
     };
     (rotation.to_degrees(), translation.to_degrees())
-}
-
-/// acos, beyond ±(1 - 1e-4) continued by its tangent there.
-fn acos_continued(cosine: f64) -> f64 {
-    const EDGE: f64 = 1.0 - 1e-4;
-    let edge = cosine.clamp(-EDGE, EDGE);
-    edge.acos() - (cosine - edge) / (1.0 - edge * edge).sqrt()
 }
 
 #[cfg(test)]
@@ -142,7 +129,9 @@ mod tests {
             [first, truth],
         );
         assert_relative_eq!(turned.rotation_deg, 20.0, epsilon = 1e-9);
-        // The motion's translation is -R^T t: turned by 20 degrees as well.
+        assert_relative_eq!(turned.translation_deg, 0.0, epsilon = 1e-9);
+        // Of the first camera turned, the second lies in another direction.
+        let turned = error([pose([0.0; 3], [0.0, 0.0, 20.0]), truth], [first, truth]);
         assert_relative_eq!(turned.translation_deg, 20.0, epsilon = 1e-9);
         let moved = error([first, pose([3.0, 4.0, 0.0], [0.0; 3])], [first, truth]);
         assert_relative_eq!(
@@ -153,28 +142,32 @@ mod tests {
     }
 
     #[test]
-    fn scale_and_sign_of_translations_do_not_count() {
-        let first = Pose::identity();
-        let truth = pose([1.0, 2.0, -1.0], [0.0; 3]);
-        for factor in [0.01, -3.0] {
-            let predicted =
-                Pose::from_parts((truth.translation.vector * factor).into(), truth.rotation);
-            let error = error([first, predicted], [first, truth]);
-            assert_relative_eq!(error.translation_deg, 0.0, epsilon = 1e-9);
-        }
-        let still = error([first, Pose::identity()], [first, truth]);
-        assert_eq!(still.translation_deg, 90.0);
+    fn another_frame_and_scale_are_no_error() {
+        let truth = [
+            pose([1.0, 2.0, -1.0], [10.0, 20.0, 30.0]),
+            pose([0.5, 0.0, 3.0], [-40.0, 5.0, 60.0]),
+        ];
+        let frame = pose([5.0, -7.0, 2.0], [100.0, 20.0, -50.0]);
+        let scaled = truth.map(|pose| {
+            let moved = frame * pose;
+            Pose::from_parts((moved.translation.vector * 0.3).into(), moved.rotation)
+        });
+        let error = error(scaled, truth);
+        assert!(
+            error.rotation_deg < 1e-6 && error.translation_deg < 1e-6,
+            "{error:?}"
+        );
     }
 
     #[test]
-    fn perfect_and_opposite_rotations_lie_on_the_tangent() {
+    fn the_sign_of_translations_does_not_count() {
         let first = Pose::identity();
-        let perfect = error([first, first], [first, first]);
-        assert_relative_eq!(perfect.rotation_deg, 0.405, epsilon = 1e-3);
-        let opposite = error([first, pose([0.0; 3], [180.0, 0.0, 0.0])], [first, first]);
-        assert_relative_eq!(opposite.rotation_deg, 180.0 - 0.405, epsilon = 1e-3);
-        // Where acos is itself.
-        assert_relative_eq!(acos_continued(0.5), 60_f64.to_radians(), epsilon = 1e-12);
+        let truth = pose([1.0, 2.0, -1.0], [0.0; 3]);
+        let opposite = Pose::from_parts((truth.translation.vector * -3.0).into(), truth.rotation);
+        let behind = error([first, opposite], [first, truth]);
+        assert_relative_eq!(behind.translation_deg, 0.0, epsilon = 1e-9);
+        let still = error([first, Pose::identity()], [first, truth]);
+        assert_eq!(still.translation_deg, 90.0);
     }
 
     #[test]

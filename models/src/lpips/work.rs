@@ -1,0 +1,66 @@
+//! How much there is to compute.
+
+use super::Config;
+
+/// Multiply-adds for two pictures. Convolutions count as sums over their kernels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Work {
+    /// Up to each of the five places where features are compared.
+    pub slices: [f64; 5],
+}
+
+impl Work {
+    /// The work on pictures of `height` x `width` pixels.
+    pub fn new(config: &Config, (height, width): (usize, usize)) -> Self {
+        let mut sides = [height, width];
+        let mut inputs = 3;
+        let mut channels = config.channels.iter().copied();
+        let slices = config.net.slices().each_ref().map(|slice| {
+            let over = |side: usize, padding: usize, kernel: usize, stride: usize| {
+                (side + 2 * padding)
+                    .checked_sub(kernel)
+                    .map_or(0, |last| last / stride + 1)
+            };
+            if let Some((kernel, stride)) = slice.pool {
+                sides = sides.map(|side| over(side, 0, kernel, stride));
+            }
+            let mut work = 0.0;
+            for (conv, outputs) in slice.convolutions.iter().zip(&mut channels) {
+                sides = sides.map(|side| over(side, conv.padding, conv.kernel, conv.stride));
+                let pixels = (sides[0] * sides[1]) as f64;
+                let each = (conv.kernel * conv.kernel * inputs * outputs) as f64;
+                work += 2.0 * pixels * each;
+                inputs = outputs;
+            }
+            work
+        });
+        Self { slices }
+    }
+
+    /// All of it.
+    pub fn total(&self) -> f64 {
+        self.slices.iter().sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lpips::Net;
+
+    #[test]
+    fn the_released_networks() {
+        // Known of the classifiers' convolutions at 224 x 224, in 10^9: 0.66 (AlexNet) and 15.3 (VGG16).
+        let giga = |net| Work::new(&Config::released(net), (224, 224)).total() / 2e9;
+        assert!(
+            (giga(Net::Alex) - 0.656).abs() < 0.001,
+            "{}",
+            giga(Net::Alex)
+        );
+        assert!(
+            (giga(Net::Vgg) - 15.347).abs() < 0.001,
+            "{}",
+            giga(Net::Vgg)
+        );
+    }
+}

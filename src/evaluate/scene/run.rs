@@ -1,0 +1,229 @@
+//! All comparisons of a scene for which there is a truth.
+
+use super::{CameraComparison, DepthComparison, InstanceComparison, ViewsReport};
+use crate::{
+    Error, Map, Result,
+    edit::InstanceList,
+    evaluate::{depth::Alignment, lpips::Perceptual},
+    geometry::Pose,
+    photos::Photo,
+    progress::Progress,
+    reconstruct::{PlacedPhoto, Placement},
+    render::{EditedScene, Rendering},
+    scene::{Frame, Role, Scene, Stage},
+    segment::{Instances, LabelImages, unify},
+};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// What a scene is compared with, and how.
+pub struct Evaluation<'a> {
+    /// A scene of the same photos with the true depth and cameras.
+    pub truth: Option<PathBuf>,
+    /// How predicted depth is brought to the truth's units.
+    pub alignment: Alignment,
+    /// A folder of label images with the true instances.
+    pub truth_labels: Option<PathBuf>,
+    /// A folder with true pictures of the held-out views of the edited scene. Without it, the scene as it was
+    /// before edits is compared with the held-out photos.
+    pub truth_views: Option<PathBuf>,
+    /// How views are rendered.
+    pub rendering: Rendering<'a>,
+    /// What tells how different pictures look.
+    pub perceptual: &'a Perceptual,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Where the truth has depth.
+    pub depth: Option<DepthComparison>,
+    /// Where the truth is a scene of at least two photos.
+    pub cameras: Option<CameraComparison>,
+    /// Where there are label images.
+    pub instances: Option<InstanceComparison>,
+    /// Where the scene has instances and held-out photos.
+    pub views: Option<ViewsReport>,
+}
+
+impl Evaluation<'_> {
+    /// Compares `scene` with all truths that there are.
+    ///
+    /// # Errors
+    /// When a truth cannot be read or does not belong to the scene, or there is none.
+    pub fn of(&self, scene: &Scene, progress: &dyn Progress) -> Result<Report> {
+        let frames = scene.frames(Role::Input)?;
+        progress.begin("evaluating", 2);
+        let truth = self
+            .truth
+            .as_ref()
+            .map(|folder| Scene::open(folder))
+            .transpose()?;
+        let (depth, cameras) = match &truth {
+            Some(truth) => (self.depth(scene, &frames, truth)?, cameras(scene, truth)?),
+            None => (None, None),
+        };
+        progress.advance(1);
+        let instances = match &self.truth_labels {
+            Some(folder) => Some(instances(scene, &frames, folder)?),
+            None => None,
+        };
+        progress.end();
+        let report = Report {
+            depth,
+            cameras,
+            instances,
+            views: self.views(scene, progress)?,
+        };
+        match &report {
+            Report {
+                depth: None,
+                cameras: None,
+                instances: None,
+                views: None,
+            } => Err(Error::file(
+                scene.folder(),
+                "has nothing to be compared with",
+                "give --truth or --truth-labels, or import it with --test-frames and segment it",
+            )),
+            _ => Ok(report),
+        }
+    }
+
+    /// `None` where the truth has no depth at all: it may be of cameras alone.
+    fn depth(
+        &self,
+        scene: &Scene,
+        frames: &[Frame],
+        truth: &Scene,
+    ) -> Result<Option<DepthComparison>> {
+        let true_frames = truth.frames(Role::Input)?;
+        let depths = frames
+            .iter()
+            .map(|frame| {
+                let same = |other: &&Frame| other.photo.name == frame.photo.name;
+                let found = true_frames.iter().find(same);
+                let found = found.ok_or_else(|| lacks(truth, &frame.photo.name))?;
+                Ok(found.depth.clone())
+            })
+            .collect::<Result<Vec<Map<f32>>>>()?;
+        if depths
+            .iter()
+            .flat_map(Map::values)
+            .all(|&depth| depth == 0.0)
+        {
+            tracing::warn!("{} has no depth to compare with", truth.folder().display());
+            return Ok(None);
+        }
+        let validity = scene.maps::<bool>(Stage::Clean)?;
+        DepthComparison::new(frames, &validity, &depths, self.alignment).map(Some)
+    }
+
+    fn views(&self, scene: &Scene, progress: &dyn Progress) -> Result<Option<ViewsReport>> {
+        let held_out = scene.frames(Role::HeldOut)?;
+        if held_out.is_empty() || scene.manifest().fresh(Stage::Unify).is_none() {
+            return Ok(None);
+        }
+        let pictures = held_out
+            .iter()
+            .map(|frame| match &self.truth_views {
+                Some(folder) => {
+                    let photo = Photo {
+                        path: folder.join(format!("{}.png", frame.photo.name)),
+                        ..frame.photo.clone()
+                    };
+                    photo.load()
+                }
+                None => Ok(frame.colour.clone()),
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let edited = match self.truth_views {
+            Some(_) => EditedScene::load(scene)?,
+            None => EditedScene::with_edits(scene, &[])?,
+        };
+        let cameras: Vec<_> = held_out
+            .iter()
+            .map(|frame| (frame.photo.name.clone(), frame.camera))
+            .collect();
+        let views = self.rendering.views(&edited, &cameras, progress)?;
+        let compared: Vec<_> = cameras
+            .iter()
+            .zip(&views)
+            .zip(&pictures)
+            .map(|(((name, _), (view, _)), picture)| (&**name, view, picture))
+            .collect();
+        ViewsReport::new(&compared, self.perceptual, progress)
+    }
+}
+
+/// Photos that were left out of the scene count, too, if the truth has them. `None` for a single photo.
+fn cameras(scene: &Scene, truth: &Scene) -> Result<Option<CameraComparison>> {
+    let true_pose = |name: &str| -> Option<Pose> {
+        let mut records = truth.records(Role::Input).iter();
+        let found = records.find(|record| record.photo.name == name)?;
+        Some(found.camera.cam_to_world)
+    };
+    let mut photos: Vec<(&str, Option<Pose>, Pose)> = Vec::new();
+    for record in scene.records(Role::Input) {
+        let name = &*record.photo.name;
+        let truth = true_pose(name).ok_or_else(|| lacks(truth, name))?;
+        photos.push((name, Some(record.camera.cam_to_world), truth));
+    }
+    let left_out = left_out(scene);
+    photos.extend(
+        left_out
+            .iter()
+            .filter_map(|name| Some((&**name, None, true_pose(name)?))),
+    );
+    photos.sort_by_key(|(name, ..)| place(truth, name));
+    match photos.len() {
+        0 | 1 => Ok(None),
+        _ => CameraComparison::new(&photos).map(Some),
+    }
+}
+
+/// Where the photo stands in the truth: steps from one camera to the next follow that order.
+fn place(truth: &Scene, name: &str) -> Option<usize> {
+    let mut records = truth.records(Role::Input).iter();
+    records.position(|record| record.photo.name == name)
+}
+
+/// The photos for which no camera was found when the scene was made. Recordings have a camera for each.
+fn left_out(scene: &Scene) -> Vec<String> {
+    let stages = &scene.manifest().stages;
+    let told = stages
+        .get(&Stage::Reconstruct)
+        .map(|record| &record.report["photos"]);
+    let photos: Vec<PlacedPhoto> = told
+        .and_then(|photos| serde_json::from_value(photos.clone()).ok())
+        .unwrap_or_default();
+    let left_out = photos
+        .into_iter()
+        .filter(|photo| matches!(photo.outcome, Placement::LeftOut { .. }));
+    left_out.map(|photo| photo.name).collect()
+}
+
+fn lacks(truth: &Scene, name: &str) -> Error {
+    Error::file(
+        truth.folder(),
+        format!("has no photo '{name}'"),
+        "import the truth with the same photos",
+    )
+}
+
+fn instances(scene: &Scene, frames: &[Frame], folder: &Path) -> Result<InstanceComparison> {
+    let images = LabelImages::open(folder)?;
+    let truth = frames
+        .iter()
+        .map(|frame| images.labels(frame))
+        .collect::<Result<Vec<_>>>()?;
+    let found = InstanceList::load(scene, &[])?;
+    let instances = Instances {
+        labels: scene.labels(Stage::Unify)?,
+        scores: found.scores(),
+        passes: 0,
+    };
+    let groups = unify::without_unification(&scene.labels(Stage::Masks)?);
+    let cloud = scene.cloud(frames)?;
+    InstanceComparison::new(&groups, &instances, &cloud, &truth)
+}

@@ -1,0 +1,49 @@
+//! Rendered views of a scene against true pictures.
+
+use crate::{
+    Result,
+    evaluate::{image::ImageReport, lpips::Perceptual},
+    progress::Progress,
+    render::View,
+};
+use image::RgbImage;
+use serde::Serialize;
+
+/// Rendered views against photos.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ViewsReport {
+    /// Mean over the views, completed.
+    pub completed: ImageReport,
+    /// Mean over the views, as projected, with black holes: the paper's "cloud" rows.
+    pub projected: ImageReport,
+    /// Each view, completed.
+    pub views: Vec<(String, ImageReport)>,
+}
+
+impl ViewsReport {
+    /// Compares views with true pictures, each with its name; `None` without any.
+    ///
+    /// # Errors
+    /// When a picture has not its view's size, or is too small for a metric.
+    pub fn new(
+        views: &[(&str, &View, &RgbImage)],
+        perceptual: &Perceptual,
+        progress: &dyn Progress,
+    ) -> Result<Option<Self>> {
+        progress.begin("comparing views", views.len());
+        let (mut completed, mut projected) = (Vec::new(), Vec::new());
+        for (_, view, truth) in views {
+            completed.push(ImageReport::of(&view.picture, truth, perceptual)?);
+            projected.push(ImageReport::of(&view.projection.colour, truth, perceptual)?);
+            progress.advance(1);
+        }
+        progress.end();
+        let means = ImageReport::mean(&completed).zip(ImageReport::mean(&projected));
+        let names = views.iter().map(|(name, ..)| (*name).to_string());
+        Ok(means.map(|(mean_completed, mean_projected)| Self {
+            completed: mean_completed,
+            projected: mean_projected,
+            views: names.zip(completed).collect(),
+        }))
+    }
+}
