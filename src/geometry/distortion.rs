@@ -150,7 +150,7 @@ impl Distortion {
                 // Beyond a right angle there is no plane at depth 1.
                 let ahead = (0.0..std::f64::consts::FRAC_PI_2).contains(&angle);
                 let scale = angle.tan() / r;
-                (solved && ahead).then(|| [x * scale, y * scale])
+                (solved && ahead).then_some([x * scale, y * scale])
             }
         }
     }

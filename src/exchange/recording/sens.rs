@@ -79,14 +79,12 @@ pub(super) fn list(path: &Path, options: &ImportOptions) -> Result<Listing> {
             size: sens.colour_size,
             packing: sens.colour_packing,
         }),
-        depth: (frame.depth.length > 0).then(|| {
-            DepthSource::Packed(PackedDepth {
-                part: frame.depth,
-                size: sens.depth_size,
-                packing: sens.depth_packing,
-                units_per_length,
-            })
-        }),
+        depth: (frame.depth.length > 0).then_some(DepthSource::Packed(PackedDepth {
+            part: frame.depth,
+            size: sens.depth_size,
+            packing: sens.depth_packing,
+            units_per_length,
+        })),
         pose: PoseSource::Known(path.clone(), frame.pose),
         lens: photo_lens,
         depth_lens: Some(depth_lens),
@@ -154,7 +152,7 @@ impl Sens {
             reader.matrix()?,
             reader.matrix()?,
         ];
-        let differ = |(a, b): (&f64, &f64)| !((a - b).abs() <= SAME_PLACE);
+        let differ = |(a, b): (&f64, &f64)| (a - b).abs() > SAME_PLACE || a.is_nan() || b.is_nan();
         if colour_place
             .iter()
             .flatten()
