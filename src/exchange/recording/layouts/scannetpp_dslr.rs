@@ -6,12 +6,10 @@
 //! `--points`, for example `scans/mesh_aligned_0.05.ply`.
 
 use super::{
-    ImportOptions,
-    listing::Listing,
     nerfstudio,
-    points::PointsFile,
     posed::{self, PosedPhoto, find_in},
 };
+use crate::exchange::recording::{ImportOptions, listing::Listing, points::PointsFile};
 use crate::{
     Error, Result,
     exchange::{colmap::Encoding, transforms::Transforms},

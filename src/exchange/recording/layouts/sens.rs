@@ -1,9 +1,10 @@
 //! ScanNet's `.sens` files (Dai et al., CVPR 2017), version 4: all photos, depth maps and poses of a
 //! recording in one file of several GB, of which only what is used is read.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
-    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens, names},
+    folder_pictures::names,
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens},
     packed::{DepthPacking, PackedDepth, PackedPhoto, Part, PhotoPacking, checked_size},
     poses::Rows,
 };
