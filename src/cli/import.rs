@@ -8,6 +8,15 @@ use tid3r::{
     scene::{Scene, Stage, WriteLock},
 };
 
+const EXAMPLES: &str = "Examples:
+  tid3r import scene0000_00.sens -o room --frames 0-2000:100      every hundredth photo of ScanNet
+  tid3r import rgbd_dataset_freiburg1_room -o room                20 photos, evenly spaced
+  tid3r import 7scenes/office -o room --test-frames 40,80         two held out, to compare views with
+  tid3r import data -o room --points mesh.ply                     transforms.json, depth from points
+  tid3r import photos --cameras sparse/0 -o room                  a COLMAP model of these photos
+  tid3r import photos --cameras cameras.json --points cloud.ply -o room
+                                                                  what another network found";
+
 /// Make a scene from photos with known cameras and depth or points.
 ///
 /// What the folder holds is found out, or said with --layout. RGB-D: 7-Scenes and 3DMatch, ScanNet (the
@@ -19,6 +28,7 @@ use tid3r::{
 /// Photos of lenses with distortion are undistorted. These, and photos that are no files of their own, are
 /// written into the scene's folder.
 #[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Import {
     /// The recording's folder, or a .sens file; with --cameras, the photos' folder
     #[arg(value_name = "RECORDING")]

@@ -38,12 +38,12 @@ pub enum Layout {
     Scannet,
     /// ScanNet++ by iPhone: rgb/, depth/ or depth.bin, pose_intrinsic_imu.json
     ScannetppIphone,
+    /// ScanNet++ by DSLR: resized_undistorted_images/ or resized_images/, nerfstudio/, colmap/
+    ScannetppDslr,
     /// TUM RGB-D: rgb.txt, depth.txt, groundtruth.txt
     Tum,
     /// Replica as in NICE-SLAM: results/, traj.txt, cam_params.json
     Replica,
-    /// ScanNet++ by DSLR: resized_undistorted_images/ or resized_images/, nerfstudio/, colmap/
-    ScannetppDslr,
     /// nerfstudio's transforms.json, with depth or points
     Nerfstudio,
     /// A COLMAP model (sparse/0) and images/
@@ -125,7 +125,8 @@ impl Layout {
             return Err(Error::file(
                 path,
                 problem,
-                "give the folder of a recording, or a .sens file",
+                "give the folder of a recording, or a .sens file (for a file of cameras, the photos' folder and \
+                 --cameras)",
             ));
         }
         // What cannot be listed cannot be recognised: say so rather than "no layout".
