@@ -13,7 +13,7 @@ use crate::{
     scene::files,
 };
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use std::path::Path;
 
 /// A `transforms.json`.
@@ -62,9 +62,15 @@ pub struct Distortion {
 struct LensFields {
     #[serde(skip_serializing_if = "Option::is_none")]
     camera_model: Option<CameraModel>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        serialize_with = "whole_number"
+    )]
     w: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        serialize_with = "whole_number"
+    )]
     h: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     fl_x: Option<f64>,
@@ -94,6 +100,11 @@ struct LensFields {
     p1: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     p2: Option<f64>,
+}
+
+/// Writes the side of an image as 640 and not 640.0; some files that are read have the latter.
+fn whole_number<S: Serializer>(side: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+    side.map(|side| side as u32).serialize(serializer)
 }
 
 /// The models that are OpenCV's or special cases of it, in which unused parameters are 0.

@@ -42,7 +42,8 @@ fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
         Error::Io { path, .. } if !path.exists() => Error::file(
             path,
             "is no longer there",
-            "put the photo back, or export without photos (--no-photos)",
+            "put the photo back, run this where the scene was made if the path is relative, or export \
+             without photos (--no-photos)",
         ),
         other => other,
     };
