@@ -8,14 +8,29 @@ use tid3r::{
     scene::{Scene, Stage, WriteLock},
 };
 
-/// Make a scene from an RGB-D recording with known cameras.
+const EXAMPLES: &str = "Examples:
+  tid3r import scene0000_00.sens -o room --frames 0-2000:100      every hundredth photo of ScanNet
+  tid3r import rgbd_dataset_freiburg1_room -o room                20 photos, evenly spaced
+  tid3r import 7scenes/office -o room --test-frames 40,80         two held out, to compare views with
+  tid3r import data -o room --points mesh.ply                     transforms.json, depth from points
+  tid3r import photos --cameras sparse/0 -o room                  a COLMAP model of these photos
+  tid3r import photos --cameras cameras.json --points cloud.ply -o room
+                                                                  what another network found";
+
+/// Make a scene from photos with known cameras and depth or points.
 ///
-/// Three layouts are recognised: 7-Scenes and 3DMatch (frame-N.color.png, frame-N.depth.png,
-/// frame-N.pose.txt, camera-intrinsics.txt), rgb/ with condition.npz, and color/ with depth/ and a file
-/// of poses.
+/// What the folder holds is found out, or said with --layout. RGB-D: 7-Scenes and 3DMatch, ScanNet (the
+/// .sens file or extracted frames), ScanNet++ by iPhone, TUM RGB-D, Replica as in NICE-SLAM, rgb/ with
+/// condition.npz, color/ with depth/ and a file of poses. Cameras, with depth or with points that are
+/// projected into them: nerfstudio's transforms.json, a COLMAP model with images/, ScanNet++ by DSLR. What
+/// any other network made of a folder of photos: --cameras and --points.
+///
+/// Photos of lenses with distortion are undistorted. These, and photos that are no files of their own, are
+/// written into the scene's folder.
 #[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Import {
-    /// The recording's folder
+    /// The recording's folder, or a .sens file; with --cameras, the photos' folder
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
     /// The folder to write the scene to
@@ -31,7 +46,7 @@ pub(super) struct Import {
 impl Import {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
         // A scene's own photos are found whatever folder later commands are run in.
-        let photos = std::path::absolute(self.output.join("photos"))?;
+        let photos = std::path::absolute(Scene::photos_folder(&self.output))?;
         let recording = Recording::open(&self.recording, &self.options, &photos)?;
         for warning in &recording.warnings {
             tracing::warn!("{warning}");

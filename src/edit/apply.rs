@@ -601,9 +601,9 @@ mod tests {
             let before = wall
                 .point(scene.cloud.sources[index].pixel as usize)
                 .unwrap();
-            let distance = (motion * before - scene.cloud.point(index)).norm();
+            let distance = (motion.point(&before) - scene.cloud.point(index)).norm();
             assert!(distance < 1e-4, "{index}: {distance}");
-            (motion.scaling() * 4.0).round() as i32
+            (motion.scale * 4.0).round() as i32
         });
         let scales: BTreeSet<i32> = scales.collect();
         assert_eq!(

@@ -1,4 +1,4 @@
-use nalgebra::Similarity3;
+use crate::geometry::Similarity;
 use std::collections::BTreeMap;
 
 /// For each point of an edited cloud, the motion from where it was photographed to where it is, in the
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Motions {
     /// Those that there are, but for none.
-    motions: Vec<Similarity3<f64>>,
+    motions: Vec<Similarity>,
     /// For each point, 0 for none, else one more than the place of its motion.
     of_points: Vec<usize>,
 }
@@ -21,7 +21,7 @@ impl Motions {
     }
 
     /// That of the point at a place of the cloud.
-    pub fn of(&self, index: usize) -> Similarity3<f64> {
+    pub fn of(&self, index: usize) -> Similarity {
         self.find(self.of_points[index])
     }
 
@@ -30,18 +30,18 @@ impl Motions {
         self.of_points[index] == 0
     }
 
-    fn find(&self, motion: usize) -> Similarity3<f64> {
+    fn find(&self, motion: usize) -> Similarity {
         let found = motion.checked_sub(1).map(|place| self.motions[place]);
-        found.unwrap_or_else(Similarity3::identity)
+        found.unwrap_or_else(Similarity::identity)
     }
 
     /// Moves the points at these places.
-    pub(crate) fn add(&mut self, places: &[usize], motion: &Similarity3<f64>) {
+    pub(crate) fn add(&mut self, places: &[usize], motion: &Similarity) {
         let mut after = BTreeMap::new();
         for &place in places {
             let before = self.of_points[place];
             self.of_points[place] = *after.entry(before).or_insert_with(|| {
-                self.motions.push(motion * self.find(before));
+                self.motions.push(*motion * self.find(before));
                 self.motions.len()
             });
         }

@@ -276,10 +276,10 @@ mod tests {
 
     #[test]
     fn every_shade_stays_one_of_its_own() {
-        let shades = (0..=255).map(|c| linear([c; 3])[0]);
+        let mut shades = (0..=255).map(|c| linear([c; 3])[0]);
         assert!(shades.clone().is_sorted_by(|a, b| a < b));
         assert_eq!(
-            (shades.clone().next(), shades.last()),
+            (shades.clone().next(), shades.next_back()),
             (Some(0), Some(65535))
         );
     }

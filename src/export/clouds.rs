@@ -9,7 +9,7 @@ use crate::{
     scene::{Role, Scene},
 };
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
-use serde_json::{Value, json};
+use serde_json::json;
 use std::path::Path;
 
 pub(super) fn write_ply(scene: &Scene, contents: &Contents, path: &Path) -> Result<String> {
@@ -65,10 +65,7 @@ pub(super) fn write_glb(scene: &Scene, contents: &Contents, path: &Path) -> Resu
         cameras: cameras.collect(),
     };
     glb::write_glb(path, &glb)?;
-    let instances = glb
-        .clouds
-        .iter()
-        .filter(|cloud| cloud.extras["id"] != Value::from(0));
+    let instances = glb.clouds.iter().filter(|cloud| cloud.extras["id"] != 0);
     let (points, instances) = (contents.cloud.len(), instances.count());
     let cameras = glb.cameras.len();
     let counts = [

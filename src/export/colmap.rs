@@ -12,7 +12,7 @@ use crate::{
     geometry::Camera,
     scene::{Frame, Role, Scene},
 };
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// A photo sees a point if its depth there is the point's, give or take this share.
 const SAME_DEPTH: f64 = 0.02;
@@ -24,12 +24,23 @@ pub(super) fn write(
     folder: &Path,
     params: &ExportParams,
 ) -> Result<String> {
-    let files = photos::files(scene, &folder.join("images"), !params.no_photos)?;
+    let names: Vec<String> = if params.no_photos {
+        let records = scene.records(Role::Input).iter();
+        records
+            .map(|record| photos::file_name(&record.photo))
+            .collect()
+    } else {
+        let copies = photos::copies(scene, &folder.join("images"))?;
+        let names = copies.iter().filter_map(|copy| copy.file_name());
+        names
+            .map(|name| name.to_string_lossy().into_owned())
+            .collect()
+    };
     let cameras = scene.records(Role::Input).iter().map(photos::camera);
     let model = model(
         contents,
         &cameras.collect::<Vec<_>>(),
-        &files,
+        &names,
         params.max_points,
     );
     let encoding = match format {
@@ -46,7 +57,7 @@ pub(super) fn write(
 }
 
 /// Ids count from 1; each image has a camera of its own.
-fn model(contents: &Contents, cameras: &[Camera], files: &[PathBuf], max_points: usize) -> Model {
+fn model(contents: &Contents, cameras: &[Camera], names: &[String], max_points: usize) -> Model {
     let ids = 1..;
     let lens = |(id, camera): (u32, &Camera)| ColmapCamera {
         id,
@@ -54,18 +65,14 @@ fn model(contents: &Contents, cameras: &[Camera], files: &[PathBuf], max_points:
         intrinsics: camera.intrinsics,
         distortion: vec![],
     };
-    let image = |((id, camera), file): ((u32, &Camera), &PathBuf)| ColmapImage {
+    let image = |((id, camera), name): ((u32, &Camera), &String)| ColmapImage {
         id,
-        name: file
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned(),
+        name: name.clone(),
         camera: id,
         cam_to_world: camera.cam_to_world,
         observations: vec![],
     };
-    let mut images: Vec<_> = ids.clone().zip(cameras).zip(files).map(image).collect();
+    let mut images: Vec<_> = ids.clone().zip(cameras).zip(names).map(image).collect();
     let all = contents.cloud.len();
     let count = all.min(max_points);
     let points = (0..count).map(|k| {

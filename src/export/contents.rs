@@ -54,19 +54,14 @@ impl Contents {
 
     /// The points of each instance, by id, and of none under 0.
     pub(super) fn by_instance(&self) -> BTreeMap<u32, Cloud> {
-        let mut ids = self.cloud.instances.clone();
-        ids.sort_unstable();
-        ids.dedup();
-        let of = |id: u32| {
-            let cloud = self.cloud.clone();
-            (
-                id,
-                cloud
-                    .partition(|index, cloud| cloud.instances[index] == id)
-                    .0,
-            )
-        };
-        ids.into_iter().map(of).collect()
+        let mut places: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        for (place, &id) in self.cloud.instances.iter().enumerate() {
+            places.entry(id).or_default().push(place);
+        }
+        let clouds = places.into_iter();
+        clouds
+            .map(|(id, places)| (id, self.cloud.at(&places)))
+            .collect()
     }
 
     /// What an instance is called.

@@ -1,6 +1,7 @@
 use crate::{
     Error, Result,
     geometry::Camera,
+    photos::Photo,
     scene::{FrameRecord, Role, Scene, files},
 };
 use std::{
@@ -18,22 +19,30 @@ pub(super) fn camera(record: &FrameRecord) -> Camera {
     }
 }
 
-/// The files that the input photos are called by in other programs' lists, one for each.
-///
-/// Unless `copies` are not wanted, they lie in `folder`, as the cameras see them: a photo that its EXIF
-/// data would have other programs turn, or not turn, becomes a PNG.
-pub(super) fn files(scene: &Scene, folder: &Path, copies: bool) -> Result<Vec<PathBuf>> {
+/// Copies the input photos into `folder`, as the cameras see them, and gives the copies' paths. A photo that
+/// its EXIF data would have other programs turn, or not turn, becomes a PNG.
+pub(super) fn copies(scene: &Scene, folder: &Path) -> Result<Vec<PathBuf>> {
     let records = scene.records(Role::Input).iter();
-    records
-        .map(|record| {
-            if copies {
-                copy(record, folder)
-            } else {
-                let path = &record.photo.path;
-                std::path::absolute(path).map_err(Error::io("find", path))
-            }
-        })
+    records.map(|record| copy(record, folder)).collect()
+}
+
+/// Where the input photos are.
+pub(super) fn originals(scene: &Scene) -> Result<Vec<PathBuf>> {
+    let records = scene.records(Role::Input).iter();
+    let paths = records.map(|record| &record.photo.path);
+    paths
+        .map(|path| std::path::absolute(path).map_err(Error::io("find", path)))
         .collect()
+}
+
+/// A photo's name with the ending of its file: unique within a scene, unlike the file's own name.
+pub(super) fn file_name(photo: &Photo) -> String {
+    let ending = photo.path.extension().unwrap_or_default();
+    let ending = format!(".{}", ending.to_string_lossy().to_lowercase());
+    match ending == "." || photo.name.to_lowercase().ends_with(&ending) {
+        true => photo.name.clone(),
+        false => format!("{}{ending}", photo.name),
+    }
 }
 
 fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
@@ -42,7 +51,8 @@ fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
         Error::Io { path, .. } if !path.exists() => Error::file(
             path,
             "is no longer there",
-            "put the photo back, or export without photos (--no-photos)",
+            "put the photo back, run this where the scene was made if the path is relative, or export \
+             without photos (--no-photos)",
         ),
         other => other,
     };
@@ -59,18 +69,22 @@ fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
         files::write_png(&path, &photo.load()?)?;
         return Ok(path);
     }
-    let ending = photo
-        .path
-        .extension()
-        .map(|e| e.to_string_lossy().to_lowercase());
-    let name = match ending {
-        Some(ending) if !photo.name.to_lowercase().ends_with(&format!(".{ending}")) => {
-            format!("{}.{ending}", photo.name)
-        }
-        _ => photo.name.clone(),
-    };
-    let path = folder.join(name);
+    let path = folder.join(file_name(photo));
     let mut file = fs::File::open(&photo.path).map_err(Error::io("read", &photo.path))?;
     files::write_atomically(&path, |out| io::copy(&mut file, out).map(drop))?;
     Ok(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_called_like_photos() {
+        let name = |name: &str, path: &str| file_name(&Photo::new(name, path));
+        assert_eq!(name("door", "a/door.JPG"), "door.jpg");
+        assert_eq!(name("a_door", "a/door.png"), "a_door.png");
+        assert_eq!(name("door.jpg", "door.jpg"), "door.jpg");
+        assert_eq!(name("door", "door"), "door");
+    }
 }

@@ -50,11 +50,11 @@ fn splat(
     let motion = contents.motions.of(index);
     let [w, x, y, z] = [0, 1, 2, 3].map(|k| f64::from(gaussian.rotation[k].values()[pixel]));
     let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6);
-    let rotation = motion.isometry.rotation * rotation.unwrap_or_default();
+    let rotation = motion.rotation * rotation.unwrap_or_default();
     let extent = |k: usize| {
         // Not clamp: what is no number becomes the least.
         let extent = gaussian.scale[k].values()[pixel].max(least).min(most);
-        extent * motion.scaling() as f32
+        extent * motion.scale as f32
     };
     Splat {
         position: cloud.positions[index],
@@ -71,9 +71,10 @@ mod tests {
     use crate::{
         Map,
         edit::Motions,
+        geometry::Similarity,
         scene::{Cloud, test_frames::facing_wall},
     };
-    use nalgebra::{Similarity3, Translation3, Vector3};
+    use nalgebra::Vector3;
     use std::collections::BTreeMap;
 
     fn gaussians(opacity: f32, scale: [f32; 3], rotation: [f32; 4]) -> Gaussians {
@@ -95,7 +96,11 @@ mod tests {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
         motions.add(
             &[1],
-            &Similarity3::from_parts(Translation3::identity(), turn, 3.0),
+            &Similarity {
+                scale: 3.0,
+                rotation: turn,
+                ..Similarity::identity()
+            },
         );
         let contents = Contents {
             frames,

@@ -24,7 +24,10 @@ pub(super) fn write(
 ) -> Result<String> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let to_floor = scene.manifest().floor_to_world.inverse();
-    let files = photos::files(scene, &folder.join("images"), !params.no_photos)?;
+    let files = match params.no_photos {
+        true => photos::originals(scene)?,
+        false => photos::copies(scene, &folder.join("images"))?,
+    };
     let mut frames = Vec::new();
     for (record, file) in scene.records(Role::Input).iter().zip(&files) {
         let camera = photos::camera(record);

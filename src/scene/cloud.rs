@@ -79,23 +79,25 @@ impl Cloud {
     /// Splits the cloud: points that `keep` says yes to, and the others; the order stays.
     #[must_use]
     pub fn partition(self, mut keep: impl FnMut(usize, &Self) -> bool) -> (Self, Self) {
-        let kept: Vec<bool> = (0..self.len()).map(|index| keep(index, &self)).collect();
-        (self.select(&kept, true), self.select(&kept, false))
+        let (kept, others): (Vec<usize>, Vec<usize>) =
+            (0..self.len()).partition(|&index| keep(index, &self));
+        (self.at(&kept), self.at(&others))
     }
 
-    fn select(&self, kept: &[bool], want: bool) -> Self {
-        fn pick<T: Copy>(values: &[T], kept: &[bool], want: bool) -> Vec<T> {
-            let chosen = values.iter().zip(kept).filter(|&(_, &kept)| kept == want);
-            chosen.map(|(&value, _)| value).collect()
+    /// The points at these places, in their order.
+    #[must_use]
+    pub fn at(&self, places: &[usize]) -> Self {
+        fn pick<T: Copy>(values: &[T], places: &[usize]) -> Vec<T> {
+            places.iter().map(|&place| values[place]).collect()
         }
         Self {
-            positions: pick(&self.positions, kept, want),
-            colours: pick(&self.colours, kept, want),
-            confidences: pick(&self.confidences, kept, want),
-            radii: pick(&self.radii, kept, want),
-            directions: pick(&self.directions, kept, want),
-            sources: pick(&self.sources, kept, want),
-            instances: pick(&self.instances, kept, want),
+            positions: pick(&self.positions, places),
+            colours: pick(&self.colours, places),
+            confidences: pick(&self.confidences, places),
+            radii: pick(&self.radii, places),
+            directions: pick(&self.directions, places),
+            sources: pick(&self.sources, places),
+            instances: pick(&self.instances, places),
         }
     }
 

@@ -3,7 +3,7 @@ use super::{
     files::{self, Element, MapFile},
     manifest::VERSION,
 };
-use crate::{Error, Map, Result, exchange::ply};
+use crate::{Error, Map, Result, exchange::ply, photos::Photo};
 use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -17,6 +17,8 @@ use std::{
 };
 
 const MANIFEST: &str = "scene.json";
+/// Photos that are no files elsewhere.
+const PHOTOS: &str = "photos";
 const LOCK: &str = ".tid3r-lock";
 /// Files lie no deeper than this below a scene, or below the demo's folder.
 const FOLDERS_DEEP: usize = 4;
@@ -95,6 +97,17 @@ impl WriteLock {
     }
 }
 
+/// Photos of the scene's own go where the folder goes.
+fn find_own_photo(folder: &Path, photo: &mut Photo) {
+    let Some(file) = photo.path.file_name() else {
+        return;
+    };
+    let own = folder.join(PHOTOS).join(file);
+    if !photo.path.exists() && own.is_file() {
+        photo.path = own;
+    }
+}
+
 /// Removes files that a killed process did not finish, `depth` folders down.
 fn remove_unfinished(folder: &Path, depth: usize) -> Result<()> {
     for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
@@ -140,10 +153,13 @@ impl Scene {
                 ));
             }
         }
-        let manifest = Manifest::deserialize(&value).map_err(|error| {
+        let mut manifest = Manifest::deserialize(&value).map_err(|error| {
             Error::file(&path, format!("is not what it should be ({error})"), AGAIN)
         })?;
         check(&path, &manifest)?;
+        for record in manifest.frames.iter_mut().chain(&mut manifest.held_out) {
+            find_own_photo(folder, &mut record.photo);
+        }
         Ok(Self {
             folder: folder.to_path_buf(),
             manifest,
@@ -263,6 +279,11 @@ impl Scene {
     /// A file that belongs to one frame.
     pub fn file_of(&self, role: Role, name: &str, file: &str) -> PathBuf {
         self.folder.join(role.folder()).join(name).join(file)
+    }
+
+    /// Where the scene in `folder` has photos that are no files elsewhere.
+    pub fn photos_folder(folder: &Path) -> PathBuf {
+        folder.join(PHOTOS)
     }
 
     /// The picture that a style has for a photo; the style's folder for an empty name.

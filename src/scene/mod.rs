@@ -10,6 +10,7 @@
 //! frames/NAME/validity.safetensors    which points passed the cleaning
 //! frames/NAME/masks.safetensors       the frame's own masks
 //! frames/NAME/instances.safetensors   the scene's instances
+//! photos/NAME.png, NAME.jpg       photos that are no files elsewhere, or were undistorted
 //! held_out/NAME/…                 photos kept apart to compare rendered views with
 //! instances.json                  the instances: name, size, where seen
 //! edits.json                      the list of edits

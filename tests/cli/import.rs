@@ -12,12 +12,20 @@ fn all_layouts_give_the_same_geometry() {
     let place = Place::new();
     recording::write_seven_scenes(&place.path("seven"));
     recording::write_npz(&place.path("npz"));
-    recording::write_color_depth(&place.path("tum"));
+    recording::write_color_depth(&place.path("plain"));
+    recording::write_sens(&place.path("scene0000_00.sens"), false);
+    recording::write_scannet(&place.path("scannet"));
+    recording::write_tum(&place.path("tum"));
+    recording::write_replica(&place.path("replica"));
     let mut floors = Vec::new();
     for (layout, options) in [
         ("seven", String::new()),
         ("npz", String::new()),
+        ("plain", format!("--intrinsics {LENS} --depth-scale 1000")),
+        ("scene0000_00.sens", String::new()),
+        ("scannet", String::new()),
         ("tum", format!("--intrinsics {LENS} --depth-scale 1000")),
+        ("replica", String::new()),
     ] {
         let scene = format!("scene_{layout}");
         let said = place.run(&format!(
@@ -28,8 +36,13 @@ fn all_layouts_give_the_same_geometry() {
         let numbers = |role: &str| -> Vec<u64> {
             let frames = manifest[role].as_array().unwrap().iter();
             let name = frames.map(|frame| frame["name"].as_str().unwrap());
-            name.map(|name| name.trim_start_matches("frame-").parse().unwrap())
-                .collect()
+            name.map(|name| {
+                name.trim_start_matches("frame")
+                    .trim_start_matches('-')
+                    .parse()
+                    .unwrap()
+            })
+            .collect()
         };
         assert_eq!(numbers("frames"), [6, 0, 1, 3, 5], "in the order asked for");
         assert_eq!(numbers("held_out"), [2, 4]);
@@ -152,4 +165,113 @@ fn turned_photos_are_restyled_and_labelled_as_they_are_used() {
     place.run("edit scene restyle style");
     let styled = image::open(place.path("scene/styles/style_1/frame-000003.png")).unwrap();
     assert_eq!(styled.into_rgb8(), recording::photo(3));
+}
+
+#[test]
+fn a_sens_file_becomes_a_scene_that_has_its_photos_and_can_be_moved() {
+    let place = Place::new();
+    recording::write_sens(&place.path("scene0000_00.sens"), true);
+    let [said, warnings] = place.run_loud("import scene0000_00.sens -o scene --test-frames 4");
+    assert!(said.contains("5 photos, 1 held out"), "{said}");
+    assert!(
+        warnings.contains("no pose") && warnings.contains(": 6"),
+        "{warnings}"
+    );
+    let photo = |name: &str| image::open(place.path(name)).unwrap().into_rgb8();
+    for k in 0..6 {
+        assert_eq!(photo(&format!("scene/photos/{k}.png")), recording::photo(k));
+    }
+    assert!(!place.path("scene/photos/6.png").exists());
+    let before = place.files("scene");
+    place.run_loud("import scene0000_00.sens -o scene --test-frames 4");
+    assert_eq!(place.files("scene"), before, "the same again does nothing");
+    // Exports copy the photos, from wherever the scene is.
+    std::fs::rename(place.path("scene"), place.path("elsewhere")).unwrap();
+    place.run("clean elsewhere");
+    place.run("export elsewhere -o nerf/transforms.json --depth");
+    let copies = place.files("nerf");
+    let copy = copies
+        .iter()
+        .find(|(name, _)| name.ends_with("/3.png") && !name.contains("depth"));
+    let copy = image::load_from_memory(copy.unwrap().1).unwrap();
+    assert_eq!(copy.into_rgb8(), recording::photo(3));
+}
+
+#[test]
+fn true_instances_of_scannet_judge_a_scene() {
+    let place = Place::new();
+    recording::write_sens(&place.path("scan/scene.sens"), false);
+    recording::write_scannet_labels(&place.path("scan/instance-filt"));
+    place.run("import scan -o scene");
+    place.run("clean scene");
+    place.run("segment scene --masks scan/instance-filt");
+    let report = place.json("evaluate scene --truth-labels scan/instance-filt --json");
+    assert_eq!(report["instances"]["after"]["ap50"], 1.0, "{report}");
+}
+
+#[test]
+fn what_was_exported_is_imported_again() {
+    let place = Place::with_scene();
+    place.run("export scene -o nerf/transforms.json --depth");
+    place.run("export scene -o colmap --format colmap");
+    place.run("export scene -o cameras.json");
+    place.run("export scene -o cloud.ply");
+    // Worlds may be turned: what stays is how far the cameras are from each other.
+    let steps = |scene: &str| -> Vec<f64> {
+        let manifest = place.read_json(&format!("{scene}/scene.json"));
+        let frames = manifest["frames"].as_array().unwrap();
+        let centre = |frame: &serde_json::Value| -> [f64; 3] {
+            let pose = &frame["camera"]["cam_to_world"];
+            std::array::from_fn(|row| pose[row][3].as_f64().unwrap())
+        };
+        let step = |pair: &[serde_json::Value]| {
+            let [a, b] = [centre(&pair[0]), centre(&pair[1])];
+            a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
+        };
+        frames.windows(2).map(step).collect()
+    };
+    for k in 0..recording::PHOTOS {
+        std::fs::create_dir_all(place.path("photos")).unwrap();
+        let path = place.path(&format!("photos/frame-{k:06}.png"));
+        recording::photo(k).save(path).unwrap();
+    }
+    for (recorded, scene, least) in [
+        ("nerf", "nerf_scene", 1.0),
+        ("colmap", "colmap_scene", 0.9),
+        (
+            "photos --cameras cameras.json --points cloud.ply",
+            "points_scene",
+            0.9,
+        ),
+    ] {
+        let said = place.run(&format!("import {recorded} -o {scene}"));
+        assert!(said.contains("5 photos"), "{said}");
+        for (was, is) in steps("scene").iter().zip(steps(scene)) {
+            assert!((was - is).abs() < 1e-6, "{recorded}");
+        }
+        place.run(&format!("clean {scene}"));
+        let report = place.json(&format!(
+            "evaluate {scene} --truth scene --align none --json"
+        ));
+        let near = report["depth"]["before"]["delta1"].as_f64().unwrap();
+        assert!(near >= least, "{recorded}: {report}");
+    }
+}
+
+#[test]
+fn cameras_without_depth_or_points_are_refused_with_advice() {
+    let place = Place::with_scene();
+    place.run("export scene -o nerf/transforms.json");
+    std::fs::remove_dir_all(place.path("scene")).unwrap();
+    let text = std::fs::read_to_string(place.path("nerf/transforms.json")).unwrap();
+    place.write(
+        "nerf/transforms.json",
+        text.replace("ply_file_path", "other"),
+    );
+    let message = place.fail("import nerf -o scene");
+    assert!(
+        message.contains("--points") && message.contains("tid3r reconstruct"),
+        "{message}"
+    );
+    assert!(!place.path("scene").exists());
 }

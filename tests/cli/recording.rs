@@ -3,9 +3,14 @@
 //! World axes are OpenCV's: x right, y down, z ahead; metres. Two boxes stand on the floor. Seven photos,
 //! numbered from 0, are taken along a line, all towards the boxes.
 
-use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage};
+use flate2::{Compression, write::ZlibEncoder};
+use image::{GrayImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage};
 use npyz::WriterBuilder;
-use std::{fs, path::Path};
+use std::{
+    fs,
+    io::{Cursor, Write},
+    path::Path,
+};
 
 pub(crate) const PHOTOS: usize = 7;
 pub(crate) const WIDTH: u32 = 64;
@@ -175,6 +180,112 @@ pub(crate) fn write_npz(folder: &Path) {
     );
 }
 
+/// A `.sens` file: photos as PNG, depth packed by zlib, frame 6 without a pose if `lost`.
+pub(crate) fn write_sens(path: &Path, lost: bool) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let numbers = |numbers: &[f64]| -> Vec<u8> {
+        let numbers = numbers.iter().map(|x| *x as f32);
+        numbers.flat_map(f32::to_le_bytes).collect()
+    };
+    let identity: Vec<f64> = (0..16).map(|at| f64::from(u8::from(at % 5 == 0))).collect();
+    let mut lens = identity.clone();
+    (lens[0], lens[2], lens[5], lens[6]) = (FOCAL, 31.5, FOCAL, 23.5);
+    let mut out = [&4_u32.to_le_bytes()[..], &3_u64.to_le_bytes(), b"cam"].concat();
+    for matrix in [&lens, &identity, &lens, &identity] {
+        out.extend(numbers(matrix));
+    }
+    for number in [1, 1, WIDTH, HEIGHT, WIDTH, HEIGHT] {
+        out.extend(number.to_le_bytes());
+    }
+    out.extend(1000_f32.to_le_bytes());
+    out.extend((PHOTOS as u64).to_le_bytes());
+    for k in 0..PHOTOS {
+        let pose = if lost && k == 6 {
+            vec![f64::NEG_INFINITY; 16]
+        } else {
+            pose(k).concat()
+        };
+        out.extend(numbers(&pose));
+        out.extend([0; 16]);
+        let mut photo_file = Cursor::new(Vec::new());
+        photo(k)
+            .write_to(&mut photo_file, ImageFormat::Png)
+            .unwrap();
+        let units = map(k, |hit| (hit.depth * 1000.0).round() as u16);
+        let mut packed = ZlibEncoder::new(Vec::new(), Compression::fast());
+        let bytes: Vec<u8> = units.into_iter().flat_map(u16::to_le_bytes).collect();
+        packed.write_all(&bytes).unwrap();
+        let parts = [photo_file.into_inner(), packed.finish().unwrap()];
+        for part in &parts {
+            out.extend((part.len() as u64).to_le_bytes());
+        }
+        out.extend(parts.concat());
+    }
+    out.extend(0_u64.to_le_bytes());
+    fs::write(path, out).unwrap();
+}
+
+/// ScanNet's extracted frames.
+pub(crate) fn write_scannet(folder: &Path) {
+    for part in ["color", "depth", "pose", "intrinsic"] {
+        fs::create_dir_all(folder.join(part)).unwrap();
+    }
+    for name in ["color", "depth"] {
+        let lens = "40 0 31.5 0\n0 40 23.5 0\n0 0 1 0\n0 0 0 1\n";
+        fs::write(folder.join(format!("intrinsic/intrinsic_{name}.txt")), lens).unwrap();
+    }
+    for k in 0..PHOTOS {
+        photo(k)
+            .save(folder.join(format!("color/{k}.png")))
+            .unwrap();
+        save_depth(&folder.join(format!("depth/{k}.png")), k);
+        let rows = pose(k).map(|row| row.map(|x| x.to_string()).join(" "));
+        fs::write(folder.join(format!("pose/{k}.txt")), rows.join("\n")).unwrap();
+    }
+}
+
+/// As the TUM RGB-D benchmark, one photo a second. Needs --intrinsics and --depth-scale 1000.
+pub(crate) fn write_tum(folder: &Path) {
+    write_color_depth(folder);
+    fs::rename(folder.join("color"), folder.join("rgb")).unwrap();
+    let poses = fs::read_to_string(folder.join("pose.txt")).unwrap();
+    fs::remove_file(folder.join("pose.txt")).unwrap();
+    let list = |line: &dyn Fn(usize) -> String| (0..PHOTOS).map(line).collect::<String>();
+    let truth: Vec<&str> = poses.lines().collect();
+    for (name, list) in [
+        ("rgb.txt", list(&|k| format!("{k}.0 rgb/{k}.png\n"))),
+        ("depth.txt", list(&|k| format!("{k}.015 depth/{k}.png\n"))),
+        (
+            "groundtruth.txt",
+            list(&|k| format!("{k}.0 {}\n", truth[k])),
+        ),
+    ] {
+        fs::write(folder.join(name), list).unwrap();
+    }
+}
+
+/// Replica as in NICE-SLAM.
+pub(crate) fn write_replica(folder: &Path) {
+    fs::create_dir_all(folder.join("results")).unwrap();
+    let mut trajectory = String::new();
+    for k in 0..PHOTOS {
+        photo(k)
+            .save(folder.join(format!("results/frame{k:06}.png")))
+            .unwrap();
+        let units = map(k, |hit| (hit.depth * 6553.5).round() as u16);
+        save_grey(&folder.join(format!("results/depth{k:06}.png")), units);
+        let numbers = pose(k)
+            .concat()
+            .iter()
+            .map(f64::to_string)
+            .collect::<Vec<_>>();
+        trajectory += &(numbers.join(" ") + "\n");
+    }
+    fs::write(folder.join("traj.txt"), trajectory).unwrap();
+    let parameters = r#"{"camera": {"w": 64, "h": 48, "fx": 40.0, "fy": 40.0, "cx": 31.5, "cy": 23.5, "scale": 6553.5}}"#;
+    fs::write(folder.join("cam_params.json"), parameters).unwrap();
+}
+
 /// An archive of arrays of doubles.
 pub(crate) fn write_condition(path: &Path, arrays: &[(&str, [u64; 3], Vec<f64>)]) {
     let mut npz = npyz::npz::NpzWriter::create(path).unwrap();
@@ -197,8 +308,17 @@ pub(crate) fn write_masks(folder: &Path) {
     }
 }
 
-/// Label images with the boxes, called 1 and 2 in all photos, and nothing else.
+/// Label images with the boxes, called 1 and 2 in all photos, and nothing else; for the 7-Scenes recording.
 pub(crate) fn write_true_labels(folder: &Path) {
+    write_labels(folder, |k| format!("frame-{k:06}.png"));
+}
+
+/// The same, called as ScanNet's `instance-filt` calls them.
+pub(crate) fn write_scannet_labels(folder: &Path) {
+    write_labels(folder, |k| format!("{k}.png"));
+}
+
+fn write_labels(folder: &Path, name: impl Fn(usize) -> String) {
     fs::create_dir_all(folder).unwrap();
     for k in 0..PHOTOS {
         let labels = map(k, |hit| {
@@ -209,8 +329,6 @@ pub(crate) fn write_true_labels(folder: &Path) {
             }
         });
         let picture = GrayImage::from_vec(WIDTH, HEIGHT, labels).unwrap();
-        picture
-            .save(folder.join(format!("frame-{k:06}.png")))
-            .unwrap();
+        picture.save(folder.join(name(k))).unwrap();
     }
 }

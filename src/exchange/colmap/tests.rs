@@ -1,5 +1,6 @@
 use super::*;
 use approx::assert_relative_eq;
+use proptest::prelude::*;
 use std::fs;
 
 fn camera(id: u32, model: LensModel) -> ColmapCamera {
@@ -258,4 +259,15 @@ fn models_that_could_not_be_read_again_are_not_written() {
     assert!(fs::read_dir(folder.path()).unwrap().next().is_none());
     let message = Model::read(folder.path()).unwrap_err().to_string();
     assert!(message.contains("no COLMAP model"), "{message}");
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_readers_panic(
+        text in "([0-9.eE+-]{0,6}|PINHOLE|nan|inf|[a-zé#]{0,3}|\\n| ){0,60}", bytes in any::<Vec<u8>>(),
+    ) {
+        for bytes in [text.as_bytes(), &bytes] {
+            let _ = (text::read_cameras(bytes), text::read_images(bytes), text::read_points(bytes));
+        }
+    }
 }

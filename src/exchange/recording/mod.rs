@@ -1,44 +1,33 @@
-//! RGB-D recordings whose cameras are known: reconstruction that needs no network.
+//! Photos whose cameras are known, with depth or points: reconstruction that needs no network.
 //!
-//! A folder in one of three layouts ([`Layout`]) becomes a [`Recording`], which is a
-//! [`Reconstructor`]: depth, intrinsics and pose are looked up, brought to OpenCV's axes and to one
-//! size per frame. Opening reads names, text and picture headers only and checks all it can, so most
-//! mistakes show before any work is done.
+//! A folder in any known layout ([`Layout`]) becomes a [`Recording`], which is a [`Reconstructor`]: depth,
+//! intrinsics and pose are looked up, brought to OpenCV's axes and to one size per frame. Opening reads
+//! names, text and picture headers only and checks all it can, so most mistakes show before any work is
+//! done.
 
-mod cameras;
-mod colmap;
-mod color_depth;
 mod depth_bin;
+mod folder_pictures;
 mod frame_list;
-mod layout;
+mod layouts;
 mod listing;
-mod nerfstudio;
 mod npy;
-mod npz;
 mod options;
 mod packed;
 mod pictures;
 mod points;
-mod posed;
 mod poses;
 mod reduce;
-mod replica;
 mod resample;
-mod scannet;
-mod scannetpp_dslr;
-mod scannetpp_iphone;
 mod selection;
-mod sens;
-mod seven_scenes;
+mod sizes;
 #[cfg(test)]
 mod test_room;
 #[cfg(test)]
 mod tests;
-mod tum;
 mod view;
 
 pub use frame_list::FrameList;
-pub use layout::Layout;
+pub use layouts::Layout;
 pub use options::{ImportOptions, IntrinsicsImage};
 
 use crate::{
@@ -49,6 +38,7 @@ use crate::{
     reconstruct::{Reconstruction, Reconstructor},
     scene::{Frame, Scale},
 };
+use layouts::npz;
 use listing::{ArchiveKind, DepthSource};
 use points::PointsFile;
 use rayon::prelude::*;
@@ -59,7 +49,7 @@ use std::{
 };
 use view::View;
 
-/// An RGB-D recording, opened but not decoded.
+/// A recording, opened but not decoded.
 #[derive(Debug)]
 pub struct Recording {
     /// The photos to reconstruct the scene from, in the order asked for.
@@ -121,6 +111,7 @@ impl Recording {
             }
         }
 
+        check_names(folder, &views)?;
         let mut photos: Vec<Photo> = views.iter().map(|view| view.photo.clone()).collect();
         let held_out = photos.split_off(selection.inputs.len());
         Ok(Self {
@@ -226,6 +217,27 @@ impl Shared {
             points: points.map_or(Ok(Vec::new()), PointsFile::load)?,
         })
     }
+}
+
+/// Names become folders of the scene.
+fn check_names(folder: &Path, views: &[View]) -> Result<()> {
+    let mut seen = BTreeSet::new();
+    for View { photo, .. } in views {
+        let usable = !photo.name.is_empty()
+            && !photo.name.starts_with('.')
+            && !photo.name.contains(['/', '\\', '\0']);
+        if !usable || !seen.insert(&photo.name) {
+            return Err(Error::file(
+                folder,
+                format!(
+                    "has a photo whose name cannot be used, or two of them: '{}'",
+                    photo.name
+                ),
+                "rename it",
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// All views must have gone through the same mirror, or they are not in one world.

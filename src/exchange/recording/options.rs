@@ -11,7 +11,7 @@ pub struct ImportOptions {
     #[arg(long, value_enum)]
     pub layout: Option<Layout>,
 
-    /// Lens of all photos, in pixels; replaces what the recording says.
+    /// Lens of all photos, in pixels; replaces what the recording says, distortion included.
     #[arg(long, value_name = "FX,FY,CX,CY", allow_hyphen_values = true)]
     pub intrinsics: Option<Lens>,
 

@@ -77,6 +77,7 @@ fn a_shared_lens_stands_once_in_the_file() {
     assert_same(&back, &transforms());
     assert_eq!(file["camera_model"], "PINHOLE");
     assert_eq!((&file["cx"], &file["cy"]), (&json!(320.0), &json!(240.75)));
+    assert_eq!((&file["w"], &file["h"]), (&json!(640), &json!(480)));
     assert!(file["frames"][0].get("w").is_none() && file.get("k1").is_none());
 }
 

@@ -7,10 +7,10 @@ use crate::{
     scene::Scale,
 };
 
-fn bent(room: Room) -> Room {
+fn bent(width: u32, height: u32) -> Room {
     Room {
         distortion: Distortion::from_opencv(&[-0.12, 0.03, 0.001, -0.002]).unwrap(),
-        ..room
+        ..Room::new(width, height, 1)
     }
 }
 
@@ -31,7 +31,7 @@ fn nerfstudio_depth_has_its_unit_and_photos_their_half_pixel() {
 
 #[test]
 fn nerfstudio_photos_with_distortion_are_undistorted_with_their_depth() {
-    let room = bent(Room::new(128, 96, 1));
+    let room = bent(128, 96);
     let folder = folder();
     room.write_photos(&folder.path().join("images"));
     room.write_transforms(&folder.path().join("transforms.json"), true, None);
@@ -51,7 +51,7 @@ fn a_cloud_beside_transforms_gives_depth() {
     for distorted in [false, true] {
         let folder = folder();
         let shown = match distorted {
-            true => bent(Room::new(64, 48, 1)),
+            true => bent(64, 48),
             false => Room::new(64, 48, 1),
         };
         shown.write_photos(&folder.path().join("images"));

@@ -214,3 +214,21 @@ fn a_folder_of_two_layouts_needs_a_choice() {
     };
     assert!(opened(&folder, &chosen).is_ok());
 }
+
+#[test]
+fn names_that_would_lead_out_of_the_scene_are_refused() {
+    let (folder, options) = color_depth(&small());
+    for part in ["color/1.png", "depth/1.pgm"] {
+        let from = folder.path().join(part);
+        let to = from.with_file_name(format!("...{}", part.rsplit_once('.').unwrap().1));
+        fs::rename(from, to).unwrap();
+    }
+    for (part, ending) in [("color", "png"), ("depth", "pgm")] {
+        for (number, name) in [("2", "a"), ("10", "b")] {
+            let file = |name: &str| folder.path().join(part).join(format!("{name}.{ending}"));
+            fs::rename(file(number), file(name)).unwrap();
+        }
+    }
+    let message = complaint(&folder, &options);
+    assert!(message.contains("name cannot be used"), "{message}");
+}

@@ -2,15 +2,21 @@
 //! nerfstudio's `transforms.json`, or a COLMAP model.
 
 use super::{
-    ImportOptions,
-    listing::{Listing, StatedLens},
     nerfstudio,
-    points::PointsFile,
     posed::{self, PosedPhoto, find_in},
+};
+use crate::exchange::recording::{
+    ImportOptions,
+    folder_pictures::names,
+    listing::{Listing, StatedLens},
+    points::PointsFile,
 };
 use crate::{
     Error, Result,
-    exchange::{cameras::CameraFile, transforms::Transforms},
+    exchange::{
+        cameras::{CameraFile, CameraView},
+        transforms::Transforms,
+    },
     geometry::Distortion,
     photos::PHOTO_ENDINGS,
     scene::{Scale, files},
@@ -75,14 +81,14 @@ fn views(
     options: &ImportOptions,
 ) -> Result<Vec<PosedPhoto>> {
     let mut by_stem: BTreeMap<String, PathBuf> = BTreeMap::new();
-    for name in super::listing::names(folder)? {
+    for name in names(folder)? {
         if let Some((stem, ending)) = name.rsplit_once('.')
             && PHOTO_ENDINGS.contains(&ending.to_ascii_lowercase().as_str())
         {
             by_stem.insert(stem.to_string(), folder.join(&name));
         }
     }
-    let photo = |view: crate::exchange::cameras::CameraView| {
+    let photo = |view: CameraView| {
         let Some(name) = view.name else {
             let remedy = "call each camera like its photo, without the ending";
             return Err(Error::file(path, "has a camera without a name", remedy));

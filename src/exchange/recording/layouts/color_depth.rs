@@ -1,11 +1,9 @@
 //! A folder of photos, a folder of depth pictures and a file of poses.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions,
-    listing::{
-        DEPTH_ENDINGS, DepthSource, Entry, Listing, PhotoSource, Picture, Pictures, PoseSource,
-        depth_by_number,
-    },
+    folder_pictures::{DEPTH_ENDINGS, Picture, Pictures, depth_by_number},
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource},
     poses::{self, Rows},
 };
 use crate::{Error, Result, photos::PHOTO_ENDINGS, scene::Scale};

@@ -5,7 +5,7 @@
 //! first: the benchmark's own rule. Its pose is interpolated between those before and after it, where the
 //! nearest is no farther than 0.02 s.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
     listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens},
     poses::{self, Rows},

@@ -2,9 +2,10 @@
 //! `results/depthNNNNNN.png`, `traj.txt` (a camera-to-world matrix in each line), `cam_params.json` here or
 //! in the folder above.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
-    listing::{DepthSource, Entry, Listing, PhotoSource, Pictures, PoseSource, StatedLens},
+    folder_pictures::{Pictures, depth_by_number},
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens},
     poses::{self, Rows},
 };
 use crate::{
@@ -46,14 +47,14 @@ pub(super) fn fits(folder: &Path) -> bool {
 
 pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     let results = folder.join("results");
-    let mut photos = Pictures::list_of(&results, "frame", &PHOTO_ENDINGS)?;
+    let photos = Pictures::list_of(&results, "frame", &PHOTO_ENDINGS)?;
     let depth = Pictures::list_of(&results, "depth", &["png"])?;
-    let mut depth = super::listing::depth_by_number(&photos, depth, folder)?;
+    let mut depth = depth_by_number(&photos, depth, folder)?;
     let (lens, units_per_length, lens_from) = camera(folder, options)?;
     let poses_file = folder.join("traj.txt");
     let poses = read_poses(&poses_file)?;
     let warnings = photos.warnings(&results);
-    let entries = photos.files.drain(..).map(|photo| Entry {
+    let entries = photos.files.into_iter().map(|photo| Entry {
         number: photo.number,
         name: photo.stem,
         photo: PhotoSource::File(photo.path),

@@ -6,18 +6,13 @@
 //! `--points`, for example `scans/mesh_aligned_0.05.ply`.
 
 use super::{
-    ImportOptions,
-    listing::Listing,
     nerfstudio,
-    points::PointsFile,
     posed::{self, PosedPhoto, find_in},
 };
+use crate::exchange::recording::{ImportOptions, listing::Listing, points::PointsFile};
 use crate::{
     Error, Result,
-    exchange::{
-        colmap::{Encoding, Model},
-        transforms::Transforms,
-    },
+    exchange::{colmap::Encoding, transforms::Transforms},
     scene::Scale,
 };
 use std::{
@@ -56,29 +51,35 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
         folder.join(images).is_dir() && folder.join(transforms).is_file()
     });
     let mut warnings = Vec::new();
-    let (photos, from) = if let Some((images, transforms)) = stated {
-        let path = folder.join(transforms);
-        let transforms = Transforms::read(&path)?;
-        let mut photos = nerfstudio::photos(&path, &transforms, &folder.join(images), options)?;
-        if has_model {
-            take_poses(&mut photos, &colmap)?;
-        } else {
-            warnings.push(format!(
-                "without colmap/, poses are those of {}, whose world is not that of scans/",
-                path.display()
+    let (photos, from) = match stated {
+        Some((images, transforms)) => {
+            let (images, path) = (folder.join(images), folder.join(transforms));
+            let transforms = Transforms::read(&path)?;
+            let stated = nerfstudio::photos(&path, &transforms, &images, options)?;
+            if has_model {
+                let mut photos = posed::of_colmap(&colmap, |name| find_in(&images, name), options)?;
+                take_lenses(&mut photos, &stated);
+                (photos, colmap.clone())
+            } else {
+                warnings.push(format!(
+                    "without colmap/, poses are those of {}, whose world is not that of scans/",
+                    path.display()
+                ));
+                (stated, path)
+            }
+        }
+        None if has_model && folder.join(KINDS[1].0).is_dir() => {
+            let images = folder.join(KINDS[1].0);
+            let photos = posed::of_colmap(&colmap, |name| find_in(&images, name), options)?;
+            (photos, colmap.clone())
+        }
+        None => {
+            return Err(Error::file(
+                folder,
+                "does not state the cameras of its photos",
+                "fetch nerfstudio/ and colmap/ too",
             ));
         }
-        (photos, path)
-    } else if has_model && folder.join(KINDS[1].0).is_dir() {
-        let images = folder.join(KINDS[1].0);
-        let photos = posed::of_colmap(&colmap, |name| find_in(&images, name), options)?;
-        (photos, colmap.clone())
-    } else {
-        return Err(Error::file(
-            folder,
-            "does not state the cameras of its photos",
-            "fetch nerfstudio/ and colmap/ too",
-        ));
     };
     let (mut entries, more) = posed::entries(photos, &from)?;
     warnings.extend(more);
@@ -94,26 +95,22 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     })
 }
 
-/// Gives photos the poses that a COLMAP model has for them; those that it has not are dropped.
-fn take_poses(photos: &mut Vec<PosedPhoto>, colmap: &Path) -> Result<()> {
-    let last = |name: &str| name.rsplit('/').next().unwrap_or_default().to_string();
-    let images = Model::read(colmap)?.images.into_iter();
-    let poses: BTreeMap<String, _> = images
-        .map(|image| (last(&image.name), image.cam_to_world))
-        .collect();
-    photos.retain_mut(|photo| {
-        let pose = poses.get(&last(&photo.file));
-        pose.is_some_and(|pose| {
-            photo.cam_to_world = *pose;
-            true
-        })
-    });
-    if photos.is_empty() {
-        return Err(Error::file(
-            colmap,
-            "has none of the photos of nerfstudio/",
-            "fetch both again",
-        ));
+/// Gives photos the lenses that `stated` has for them; one lens took them all, those held out for tests and
+/// not stated among them.
+fn take_lenses(photos: &mut [PosedPhoto], stated: &[PosedPhoto]) {
+    let last = |photo: &PosedPhoto| {
+        photo
+            .file
+            .rsplit('/')
+            .next()
+            .unwrap_or_default()
+            .to_string()
+    };
+    let lenses: BTreeMap<String, _> = stated.iter().map(|s| (last(s), s.lens)).collect();
+    let usual = stated.first().map(|photo| photo.lens);
+    for photo in photos {
+        if let Some(lens) = lenses.get(&last(photo)).copied().or(usual) {
+            photo.lens = lens;
+        }
     }
-    Ok(())
 }

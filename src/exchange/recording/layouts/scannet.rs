@@ -2,12 +2,10 @@
 //! `depth/N.png` (millimetres), `pose/N.txt` (4x4, camera to world), and a 4x4 camera matrix each for
 //! photos and depth.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
-    listing::{
-        DEPTH_ENDINGS, DepthSource, Entry, Listing, PhotoSource, Pictures, PoseSource, StatedLens,
-        depth_by_number,
-    },
+    folder_pictures::{DEPTH_ENDINGS, Pictures, depth_by_number},
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens},
     pictures::PictureHeader,
     poses,
 };

@@ -1,9 +1,10 @@
 //! ScanNet's `.sens` files (Dai et al., CVPR 2017), version 4: all photos, depth maps and poses of a
 //! recording in one file of several GB, of which only what is used is read.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
-    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens, names},
+    folder_pictures::names,
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens},
     packed::{DepthPacking, PackedDepth, PackedPhoto, Part, PhotoPacking, checked_size},
     poses::Rows,
 };
@@ -79,14 +80,12 @@ pub(super) fn list(path: &Path, options: &ImportOptions) -> Result<Listing> {
             size: sens.colour_size,
             packing: sens.colour_packing,
         }),
-        depth: (frame.depth.length > 0).then(|| {
-            DepthSource::Packed(PackedDepth {
-                part: frame.depth,
-                size: sens.depth_size,
-                packing: sens.depth_packing,
-                units_per_length,
-            })
-        }),
+        depth: (frame.depth.length > 0).then_some(DepthSource::Packed(PackedDepth {
+            part: frame.depth,
+            size: sens.depth_size,
+            packing: sens.depth_packing,
+            units_per_length,
+        })),
         pose: PoseSource::Known(path.clone(), frame.pose),
         lens: photo_lens,
         depth_lens: Some(depth_lens),
@@ -154,7 +153,7 @@ impl Sens {
             reader.matrix()?,
             reader.matrix()?,
         ];
-        let differ = |(a, b): (&f64, &f64)| !((a - b).abs() <= SAME_PLACE);
+        let differ = |(a, b): (&f64, &f64)| (a - b).abs() > SAME_PLACE || a.is_nan() || b.is_nan();
         if colour_place
             .iter()
             .flatten()

@@ -1,8 +1,9 @@
 //! Photos with cameras but, mostly, without depth: what nerfstudio, COLMAP and other programs leave.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions,
-    listing::{DepthSource, Entry, PhotoSource, Pictures, PoseSource, StatedLens},
+    folder_pictures::Pictures,
+    listing::{DepthSource, Entry, PhotoSource, PoseSource, StatedLens},
     points::PointsFile,
 };
 use crate::{

@@ -1,12 +1,16 @@
 //! A folder with nerfstudio's `transforms.json`, with or without depth.
 
-use super::{
+use super::posed::{self, PosedPhoto, find_in};
+use crate::exchange::recording::{
     ImportOptions,
     listing::{DepthSource, Listing, StatedLens},
     points::PointsFile,
-    posed::{self, PosedPhoto, find_in},
 };
-use crate::{Error, Result, exchange::transforms::Transforms, scene::Scale};
+use crate::{
+    Error, Result,
+    exchange::transforms::{Transforms, TransformsFrame},
+    scene::Scale,
+};
 use std::path::{Path, PathBuf};
 
 const FILE: &str = "transforms.json";
@@ -57,7 +61,7 @@ pub(super) fn photos(
             units_per_length,
         })
     };
-    let photo = |frame: &crate::exchange::transforms::TransformsFrame| {
+    let photo = |frame: &TransformsFrame| {
         let lens = match options.intrinsics {
             Some(lens) => lens.into(),
             None => StatedLens::of_transforms(frame).map_err(|problem| {

@@ -1,9 +1,10 @@
 //! A folder `rgb` of photos and an archive `condition.npz` with the arrays `intrinsics` (n, 3, 3),
 //! `poses` (n, 4, 4; camera to world) and `depths` (n, h, w; scene units).
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
-    listing::{ArchiveKind, DepthSource, Entry, Listing, PhotoSource, Pictures, PoseSource},
+    folder_pictures::Pictures,
+    listing::{ArchiveKind, DepthSource, Entry, Listing, PhotoSource, PoseSource},
     npy::{Array, ArrayHeader},
     pictures::SIDE_LIMIT,
     poses::Rows,
@@ -79,7 +80,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
 /// The depth maps `wanted` (places along the first axis) of an archive, as stored.
 ///
 /// The array is read once and front to back; only wanted maps are held.
-pub(super) fn read_depths(
+pub(in crate::exchange::recording) fn read_depths(
     path: &Path,
     wanted: &BTreeSet<usize>,
 ) -> Result<BTreeMap<usize, Map<f32>>> {

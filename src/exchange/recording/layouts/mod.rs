@@ -1,8 +1,23 @@
-use super::{
-    ImportOptions, cameras, colmap, color_depth, listing::Listing, nerfstudio, npz, replica,
-    scannet, scannetpp_dslr, scannetpp_iphone, sens, seven_scenes, tum,
+//! The layouts of recordings, one file each: what `fits`, and a `list` of what is there.
+
+mod cameras;
+mod colmap;
+mod color_depth;
+mod nerfstudio;
+pub(super) mod npz;
+mod posed;
+mod replica;
+mod scannet;
+mod scannetpp_dslr;
+mod scannetpp_iphone;
+mod sens;
+mod seven_scenes;
+mod tum;
+
+use crate::{
+    Error, Result,
+    exchange::recording::{ImportOptions, folder_pictures::names, listing::Listing},
 };
-use crate::{Error, Result};
 use clap::ValueEnum;
 use serde::Serialize;
 use std::path::Path;
@@ -23,12 +38,12 @@ pub enum Layout {
     Scannet,
     /// ScanNet++ by iPhone: rgb/, depth/ or depth.bin, pose_intrinsic_imu.json
     ScannetppIphone,
+    /// ScanNet++ by DSLR: resized_undistorted_images/ or resized_images/, nerfstudio/, colmap/
+    ScannetppDslr,
     /// TUM RGB-D: rgb.txt, depth.txt, groundtruth.txt
     Tum,
     /// Replica as in NICE-SLAM: results/, traj.txt, cam_params.json
     Replica,
-    /// ScanNet++ by DSLR: resized_undistorted_images/ or resized_images/, nerfstudio/, colmap/
-    ScannetppDslr,
     /// nerfstudio's transforms.json, with depth or points
     Nerfstudio,
     /// A COLMAP model (sparse/0) and images/
@@ -88,7 +103,11 @@ impl Layout {
         )
     }
 
-    pub(super) fn recognise(path: &Path, options: &ImportOptions) -> Result<Self> {
+    /// The layout of what is at `path`, or the one that `options` ask for.
+    pub(in crate::exchange::recording) fn recognise(
+        path: &Path,
+        options: &ImportOptions,
+    ) -> Result<Self> {
         let choice = match &options.cameras {
             Some(_) => options.layout.or(Some(Self::Cameras)),
             None => options.layout,
@@ -106,11 +125,12 @@ impl Layout {
             return Err(Error::file(
                 path,
                 problem,
-                "give the folder of a recording, or a .sens file",
+                "give the folder of a recording, or a .sens file (for a file of cameras, the photos' folder and \
+                 --cameras)",
             ));
         }
         // What cannot be listed cannot be recognised: say so rather than "no layout".
-        super::listing::names(path)?;
+        names(path)?;
         if let Some(choice) = choice {
             return Ok(choice);
         }
@@ -139,20 +159,22 @@ impl Layout {
                 ))
             }
             _ => {
-                let names = fitting.iter().map(|layout| layout.name());
+                let fitting: Vec<String> = fitting.iter().map(|layout| layout.name()).collect();
                 Err(Error::file(
                     path,
-                    format!(
-                        "fits several layouts: {}",
-                        names.collect::<Vec<_>>().join(", ")
-                    ),
+                    format!("fits several layouts: {}", fitting.join(", ")),
                     "choose one with --layout",
                 ))
             }
         }
     }
 
-    pub(super) fn list(self, folder: &Path, options: &ImportOptions) -> Result<Listing> {
+    /// What the recording at `folder` holds.
+    pub(in crate::exchange::recording) fn list(
+        self,
+        folder: &Path,
+        options: &ImportOptions,
+    ) -> Result<Listing> {
         let without = |option: &str, given: bool| {
             if given {
                 return Err(Error::request(

@@ -1,11 +1,7 @@
 //! A COLMAP model and its photos: `sparse/0` (or `sparse`, or the folder itself) and `images/`.
 
-use super::{
-    ImportOptions,
-    listing::Listing,
-    points::PointsFile,
-    posed::{self, find_in},
-};
+use super::posed::{self, find_in};
+use crate::exchange::recording::{ImportOptions, listing::Listing, points::PointsFile};
 use crate::{Error, Result, exchange::colmap::Encoding, scene::Scale};
 use std::path::{Path, PathBuf};
 

@@ -1,13 +1,11 @@
 //! The iPhone recordings of ScanNet++ (Yeshwanth et al., ICCV 2023): `rgb/` (frames of `rgb.mkv`), `depth/`
 //! (PNG, millimetres) or `depth.bin`, and `pose_intrinsic_imu.json`.
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
     depth_bin::DepthBin,
-    listing::{
-        DEPTH_ENDINGS, DepthSource, Entry, Listing, PhotoSource, Pictures, PoseSource, StatedLens,
-        depth_by_number,
-    },
+    folder_pictures::{DEPTH_ENDINGS, Pictures, depth_by_number},
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, StatedLens},
     poses::Rows,
 };
 use crate::{

@@ -1,9 +1,10 @@
 //! The layout of 7-Scenes (Shotton et al., CVPR 2013) and 3DMatch: `frame-N.color.png`,
 //! `frame-N.depth.png` (millimetres), `frame-N.pose.txt` (camera to world).
 
-use super::{
+use crate::exchange::recording::{
     ImportOptions, Lens,
-    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource, names},
+    folder_pictures::names,
+    listing::{DepthSource, Entry, Listing, PhotoSource, PoseSource},
     poses,
 };
 use crate::{Error, Result, scene::Scale};
