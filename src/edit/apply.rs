@@ -26,6 +26,15 @@ pub struct Edited {
     pub motions: Motions,
 }
 
+impl Edited {
+    /// A cloud of `frames` without edits and without instances.
+    pub fn nothing(frames: &[Frame], cloud: Cloud) -> Self {
+        let unnamed = frames.iter().map(|frame| frame.depth.map(|_| 0));
+        let instances = unnamed.collect();
+        Work::new(cloud, frames, instances).finish()
+    }
+}
+
 /// Applies edits to a cloud made of `frames`.
 ///
 /// `instances` gives each pixel of the frames its instance, and `style` reads a set of photos that a

@@ -185,6 +185,12 @@ impl PhotoTransform {
         std::array::from_fn(|a| (frame[a] + 0.5) * scale[a] + self.crop_origin[a] - 0.5)
     }
 
+    /// The frame coordinates of photo coordinates.
+    pub fn to_frame(&self, photo: [f64; 2]) -> [f64; 2] {
+        let scale = self.scale();
+        std::array::from_fn(|a| (photo[a] + 0.5 - self.crop_origin[a]) / scale[a] - 0.5)
+    }
+
     /// The lens of the photo, given that of the frame. A frame that was not resized by one factor along
     /// both axes (whole numbers of pixels seldom allow it) has two focal lengths for one of the photo.
     #[must_use]
@@ -205,14 +211,14 @@ impl PhotoTransform {
     #[must_use]
     pub fn intrinsics_of_frame(&self, photo: &Intrinsics) -> Intrinsics {
         let [x, y] = self.scale();
-        let [left, top] = self.crop_origin;
+        let [cx, cy] = self.to_frame([photo.cx, photo.cy]);
         Intrinsics {
             width: self.frame_size[0],
             height: self.frame_size[1],
             fx: photo.fx / x,
             fy: photo.fy / y,
-            cx: (photo.cx + 0.5 - left) / x - 0.5,
-            cy: (photo.cy + 0.5 - top) / y - 0.5,
+            cx,
+            cy,
         }
     }
 

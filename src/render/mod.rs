@@ -17,5 +17,5 @@ pub use path::{between, orbit, path_cameras};
 pub use projection::{Projection, SplatParams, project};
 pub use record::scene_recipe;
 pub use references::{Reference, ReferenceParams, reference_masks};
-pub use stage::{EditedScene, Rendering, Story, Target, ViewFiles, Written};
+pub use stage::{EditedScene, Rendering, Shown, Story, Target, ViewFiles, Written};
 pub use top_down::top_down;

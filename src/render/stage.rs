@@ -4,11 +4,11 @@ use super::{
 };
 use crate::{
     Error, Result,
-    edit::{Edit, EditList, Edited, edited},
+    edit::{EditList, Edited, edited},
     geometry::Camera,
     photos,
     progress::Progress,
-    scene::{Frame, Hasher, Role, Scene, WriteLock, files},
+    scene::{Cloud, Frame, Hasher, Role, Scene, Stage, WriteLock, files},
 };
 use image::RgbImage;
 use serde::Serialize;
@@ -33,18 +33,36 @@ impl EditedScene {
     /// # Errors
     /// When the scene has not been segmented, its edits are of other instances, or a file is damaged.
     pub fn load(scene: &Scene) -> Result<Self> {
-        Self::with_edits(scene, EditList::load(scene)?.edits())
-    }
-
-    /// Reads a scene and applies other edits than its own: none, for example.
-    ///
-    /// # Errors
-    /// When the scene has not been segmented or a file is damaged.
-    pub fn with_edits(scene: &Scene, edits: &[Edit]) -> Result<Self> {
         let frames = scene.frames(Role::Input)?;
-        let edited = edited(scene, &frames, edits)?;
+        let edited = edited(scene, &frames, EditList::load(scene)?.edits())?;
         Ok(Self { frames, edited })
     }
+
+    /// Reads a scene as it is without its edits, and without instances: it need not have been segmented.
+    ///
+    /// # Errors
+    /// When the scene has not been cleaned where it should be, or a file is damaged.
+    pub fn unedited(scene: &Scene, shown: Shown) -> Result<Self> {
+        let frames = scene.frames(Role::Input)?;
+        let validity = match shown {
+            Shown::Cleaned => scene.maps::<bool>(Stage::Clean)?,
+            Shown::All => frames
+                .iter()
+                .map(|frame| frame.depth.map(|&depth| depth > 0.0))
+                .collect(),
+        };
+        let edited = Edited::nothing(&frames, Cloud::from_frames(&frames, &validity, None));
+        Ok(Self { frames, edited })
+    }
+}
+
+/// Which points of a scene are shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shown {
+    /// Those that passed the removal of anomalous points.
+    Cleaned,
+    /// All.
+    All,
 }
 
 /// How a scene is rendered.

@@ -36,6 +36,26 @@ impl Frame {
     }
 }
 
+impl Frame {
+    /// The depth of this frame at the pixels of another frame of the same photo: of the nearest pixel, 0 outside. The
+    /// photos may differ in size.
+    pub fn depth_in(&self, other: &Self) -> Map<f32> {
+        let (width, height) = (other.depth.width(), other.depth.height());
+        Map::from_fn(width, height, |x, y| {
+            let photo = other.transform.to_photo([x, y].map(f64::from));
+            let (size, of_size) = (self.transform.photo_size, other.transform.photo_size);
+            let resized: [f64; 2] = std::array::from_fn(|axis| {
+                let scale = f64::from(size[axis]) / f64::from(of_size[axis]);
+                (photo[axis] + 0.5) * scale - 0.5
+            });
+            let [u, v] = self.transform.to_frame(resized);
+            self.depth
+                .nearest(u, v)
+                .map_or(0.0, |index| self.depth.values()[index])
+        })
+    }
+}
+
 /// Points and normals of the surfaces that frames see, from every `stride`-th pixel of every
 /// `stride`-th row; from differences over a few pixels, so that noise does not turn them.
 pub fn surface_points(frames: &[Frame], stride: u32) -> Vec<SurfacePoint> {

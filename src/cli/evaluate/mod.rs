@@ -20,12 +20,13 @@ use tid3r_weights_convert::Places;
 /// Depth: RMSE, AbsRel and d<1.25 against --truth, another scene of the same photos. Cameras against those of
 /// --truth: RRA@15, RTA@15 and mAA@30 over all pairs of photos, and ATE and RPE after a similarity. Instances: AP,
 /// AP50 and AP75 (COCO, over the pixels of all photos) and ScanNet's AP (over points) against --truth-labels.
-/// Views: PSNR, SSIM and LPIPS of rendered held-out views against their photos, or --truth-views.
+/// Views: PSNR, SSIM and LPIPS of rendered held-out views against their photos, or --truth-views. Held-out photos of
+/// --truth come first: their cameras are brought into the scene's frame by the cameras of the photos that both have.
 #[derive(Debug, Args)]
 pub(super) struct Evaluate {
     #[command(flatten)]
     scene: SceneArgument,
-    /// A scene with the true depth and cameras of the same photos (names and sizes must agree)
+    /// A scene with the true depth and cameras of the same photos, by their names
     #[arg(long, value_name = "SCENE")]
     truth: Option<PathBuf>,
     /// Label images with the true instances: one for each photo, called like it, one value for each
@@ -36,6 +37,10 @@ pub(super) struct Evaluate {
     /// scene as it was before edits is compared with the held-out photos
     #[arg(long, value_name = "FOLDER")]
     truth_views: Option<PathBuf>,
+    /// Refine the cameras of test views by their photos: they are known to some pixels only. What that gains is told;
+    /// figures with and without it are different protocols
+    #[arg(long)]
+    refine_pose: bool,
     /// How predicted depth is brought to the truth's units
     #[arg(long, value_enum, default_value_t = Align::Scale)]
     align: Align,
@@ -94,6 +99,7 @@ impl Evaluate {
             },
             truth_labels: self.truth_labels,
             truth_views: self.truth_views,
+            refine_poses: self.refine_pose,
             rendering: Rendering {
                 completer: &*completer,
                 splats: SplatParams::default(),

@@ -2,8 +2,12 @@
 
 use crate::cli::output;
 use anyhow::Result;
-use tid3r::evaluate::scene::{
-    CameraComparison, DepthComparison, InstanceComparison, Report, ViewsReport,
+use tid3r::evaluate::{
+    PoseGain,
+    scene::{
+        CameraComparison, DepthComparison, InstanceComparison, Report, TestAlignment,
+        TestRefinement, ViewsReport,
+    },
 };
 
 type Rows = Vec<Vec<String>>;
@@ -22,10 +26,51 @@ pub(super) fn print(report: &Report) -> Result<()> {
         }
         output::table(&rows)?;
     }
-    match (report.cameras.as_ref()).and_then(|cameras| cameras.not_aligned.as_ref()) {
-        Some(reason) => output::line(format!("\nno ATE and RPE of the cameras: {reason}")),
-        None => Ok(()),
+    if let Some(reason) = (report.cameras.as_ref()).and_then(|cameras| cameras.not_aligned.as_ref())
+    {
+        output::line(format!("\nno ATE and RPE of the cameras: {reason}"))?;
     }
+    let views = report.views.as_ref();
+    if let Some(alignment) = views.and_then(|views| views.alignment.as_ref()) {
+        output::line(format!("\n{}", aligned(alignment)))?;
+    }
+    if let Some(refinement) = views.and_then(|views| views.refinement.as_ref()) {
+        output::line(refined(refinement))?;
+    }
+    Ok(())
+}
+
+fn aligned(alignment: &TestAlignment) -> String {
+    let fit = &alignment.fit;
+    let disagreeing = match &alignment.left_out[..] {
+        [] => String::new(),
+        names => format!("; {} disagree", names.join(", ")),
+    };
+    format!(
+        "cameras of test views by those of {} photos, which agree to {:.4} units and {:.2} degrees (scale {:.4}, \
+         to {:.1} %){disagreeing}",
+        fit.cameras,
+        fit.centre_rms,
+        fit.rotation_rms_deg,
+        alignment.scale,
+        100.0 * fit.scale_error,
+    )
+}
+
+fn refined(refinement: &TestRefinement) -> String {
+    let gains: Vec<&PoseGain> = (refinement.views.iter().map(|(_, gain)| gain))
+        .filter(|gain| gain.refined)
+        .collect();
+    let mean = |of: fn(&PoseGain) -> f64| {
+        gains.iter().map(|gain| of(gain)).sum::<f64>() / gains.len().max(1) as f64
+    };
+    format!(
+        "{} of {} test cameras refined by their photos: by {:.2} degrees and {:.4} units in the mean",
+        gains.len(),
+        refinement.views.len(),
+        mean(|gain| gain.turned_deg),
+        mean(|gain| gain.moved),
+    )
 }
 
 fn row<const N: usize>(what: &str, cells: [String; N]) -> Vec<String> {
@@ -111,12 +156,14 @@ fn views(views: &ViewsReport) -> Rows {
     names.extend(mean.alex.map(|_| "LPIPS (AlexNet)"));
     names.extend(mean.vgg.map(|_| "LPIPS (VGG16)"));
     let mut rows = vec![names.into_iter().map(String::from).collect()];
+    let before = (views.refinement.as_ref())
+        .map(|refinement| ("projected, not refined", &refinement.projected_before));
     let means = [
         ("projected", &views.projected),
         ("completed", &views.completed),
     ];
     let all = views.views.iter().map(|(name, view)| (name.as_str(), view));
-    for (what, view) in all.chain(means) {
+    for (what, view) in all.chain(before).chain(means) {
         let mut cells = row(what, [format!("{:.2}", view.psnr), share(view.ssim)]);
         let distances = [view.lpips.alex, view.lpips.vgg];
         cells.extend(distances.into_iter().flatten().map(share));

@@ -4,6 +4,7 @@ mod cameras;
 mod depth;
 mod instances;
 mod run;
+mod test_views;
 #[cfg(test)]
 mod tests;
 mod views;
@@ -12,4 +13,16 @@ pub use cameras::{CameraComparison, CameraErrors};
 pub use depth::DepthComparison;
 pub use instances::InstanceComparison;
 pub use run::{Evaluation, Report};
+pub use test_views::{TestAlignment, TestRefinement};
 pub use views::ViewsReport;
+
+use crate::{Error, scene::Scene};
+
+/// The error about a truth that does not know one of the scene's photos.
+fn lacks(truth: &Scene, name: &str) -> Error {
+    Error::file(
+        truth.folder(),
+        format!("has no photo '{name}'"),
+        "import the truth with the same photos",
+    )
+}

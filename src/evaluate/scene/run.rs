@@ -1,15 +1,17 @@
 //! All comparisons of a scene for which there is a truth.
 
-use super::{CameraComparison, DepthComparison, InstanceComparison, ViewsReport};
+use super::{
+    CameraComparison, DepthComparison, InstanceComparison, ViewsReport, lacks,
+    test_views::TestViews,
+};
 use crate::{
     Error, Map, Result,
     edit::InstanceList,
     evaluate::{depth::Alignment, lpips::Perceptual},
     geometry::Pose,
-    photos::Photo,
     progress::Progress,
     reconstruct::{PlacedPhoto, Placement},
-    render::{EditedScene, Rendering},
+    render::{EditedScene, Rendering, Shown},
     scene::{Frame, Role, Scene, Stage},
     segment::{Instances, LabelImages, unify},
 };
@@ -18,7 +20,8 @@ use std::path::{Path, PathBuf};
 
 /// What a scene is compared with, and how.
 pub struct Evaluation<'a> {
-    /// A scene of the same photos with the true depth and cameras.
+    /// A scene of the same photos with the true depth and cameras. Where it has held-out photos, these are the test
+    /// views: their cameras are brought into the scene's frame by those of the photos that both have.
     pub truth: Option<PathBuf>,
     /// How predicted depth is brought to the truth's units.
     pub alignment: Alignment,
@@ -27,6 +30,8 @@ pub struct Evaluation<'a> {
     /// A folder with true pictures of the held-out views of the edited scene. Without it, the scene as it was
     /// before edits is compared with the held-out photos.
     pub truth_views: Option<PathBuf>,
+    /// Whether cameras of test views are refined by their photos.
+    pub refine_poses: bool,
     /// How views are rendered.
     pub rendering: Rendering<'a>,
     /// What tells how different pictures look.
@@ -42,7 +47,7 @@ pub struct Report {
     pub cameras: Option<CameraComparison>,
     /// Where there are label images.
     pub instances: Option<InstanceComparison>,
-    /// Where the scene has instances and held-out photos.
+    /// Where there are test views.
     pub views: Option<ViewsReport>,
 }
 
@@ -73,7 +78,7 @@ impl Evaluation<'_> {
             depth,
             cameras,
             instances,
-            views: self.views(scene, progress)?,
+            views: self.views(scene, truth.as_ref(), Shown::Cleaned, progress)?,
         };
         match &report {
             Report {
@@ -104,7 +109,7 @@ impl Evaluation<'_> {
                 let same = |other: &&Frame| other.photo.name == frame.photo.name;
                 let found = true_frames.iter().find(same);
                 let found = found.ok_or_else(|| lacks(truth, &frame.photo.name))?;
-                Ok(found.depth.clone())
+                Ok(found.depth_in(frame))
             })
             .collect::<Result<Vec<Map<f32>>>>()?;
         if depths
@@ -119,40 +124,58 @@ impl Evaluation<'_> {
         DepthComparison::new(frames, &validity, &depths, self.alignment).map(Some)
     }
 
-    fn views(&self, scene: &Scene, progress: &dyn Progress) -> Result<Option<ViewsReport>> {
-        let held_out = scene.frames(Role::HeldOut)?;
-        if held_out.is_empty() || scene.manifest().fresh(Stage::Unify).is_none() {
+    /// Compares rendered test views with their photos: those of the truth, if it has some, else the scene's own. `None`
+    /// where there are none, or the scene has not been cleaned yet.
+    ///
+    /// # Errors
+    /// When cameras of the truth cannot be brought into the scene's frame, and those of the completer.
+    pub fn views(
+        &self,
+        scene: &Scene,
+        truth: Option<&Scene>,
+        shown: Shown,
+        progress: &dyn Progress,
+    ) -> Result<Option<ViewsReport>> {
+        if scene.manifest().fresh(Stage::Clean).is_none() {
             return Ok(None);
         }
-        let pictures = held_out
-            .iter()
-            .map(|frame| match &self.truth_views {
-                Some(folder) => {
-                    let photo = Photo {
-                        path: folder.join(format!("{}.png", frame.photo.name)),
-                        ..frame.photo.clone()
-                    };
-                    photo.load()
-                }
-                None => Ok(frame.colour.clone()),
-            })
-            .collect::<Result<Vec<_>>>()?;
-        let edited = match self.truth_views {
-            Some(_) => EditedScene::load(scene)?,
-            None => EditedScene::with_edits(scene, &[])?,
+        let of_truth = truth
+            .map(|truth| TestViews::of_truth(scene, truth))
+            .transpose()?;
+        let tests = match of_truth.flatten() {
+            Some(tests) => Some(tests),
+            None => TestViews::of_scene(scene)?,
         };
-        let cameras: Vec<_> = held_out
-            .iter()
-            .map(|frame| (frame.photo.name.clone(), frame.camera))
-            .collect();
-        let views = self.rendering.views(&edited, &cameras, progress)?;
-        let compared: Vec<_> = cameras
-            .iter()
+        let Some(mut tests) = tests else {
+            return Ok(None);
+        };
+        let edited = match &self.truth_views {
+            Some(folder) => {
+                tests = tests.looking_like(folder)?;
+                EditedScene::load(scene)?
+            }
+            None => EditedScene::unedited(scene, shown)?,
+        };
+        let refinement = match self.refine_poses {
+            true => {
+                let cloud = &edited.edited.cloud;
+                let splats = &self.rendering.splats;
+                Some(tests.refine(cloud, splats, self.perceptual, progress)?)
+            }
+            false => None,
+        };
+        let views = self.rendering.views(&edited, &tests.cameras, progress)?;
+        let compared: Vec<_> = (tests.cameras.iter())
             .zip(&views)
-            .zip(&pictures)
+            .zip(&tests.pictures)
             .map(|(((name, _), (view, _)), picture)| (&**name, view, picture))
             .collect();
-        ViewsReport::new(&compared, self.perceptual, progress)
+        let report = ViewsReport::new(&compared, self.perceptual, progress)?;
+        Ok(report.map(|report| ViewsReport {
+            alignment: tests.alignment,
+            refinement,
+            ..report
+        }))
     }
 }
 
@@ -201,14 +224,6 @@ fn left_out(scene: &Scene) -> Vec<String> {
         .into_iter()
         .filter(|photo| matches!(photo.outcome, Placement::LeftOut { .. }));
     left_out.map(|photo| photo.name).collect()
-}
-
-fn lacks(truth: &Scene, name: &str) -> Error {
-    Error::file(
-        truth.folder(),
-        format!("has no photo '{name}'"),
-        "import the truth with the same photos",
-    )
 }
 
 fn instances(scene: &Scene, frames: &[Frame], folder: &Path) -> Result<InstanceComparison> {

@@ -1,5 +1,6 @@
 //! Rendered views of a scene against true pictures.
 
+use super::{TestAlignment, TestRefinement};
 use crate::{
     Result,
     evaluate::{image::ImageReport, lpips::Perceptual},
@@ -18,6 +19,12 @@ pub struct ViewsReport {
     pub projected: ImageReport,
     /// Each view, completed.
     pub views: Vec<(String, ImageReport)>,
+    /// How the test cameras were brought into the scene's frame, where they are the truth's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub alignment: Option<TestAlignment>,
+    /// What refining them gained, where they were refined.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refinement: Option<TestRefinement>,
 }
 
 impl ViewsReport {
@@ -44,6 +51,8 @@ impl ViewsReport {
             completed: mean_completed,
             projected: mean_projected,
             views: names.zip(completed).collect(),
+            alignment: None,
+            refinement: None,
         }))
     }
 }
