@@ -15,6 +15,7 @@ mod refine;
 mod render;
 mod run;
 mod segment;
+mod suite;
 pub(crate) mod terminal;
 mod weights;
 

@@ -4,7 +4,7 @@ use clap::{Args, builder::PossibleValuesParser};
 use std::path::{Path, PathBuf};
 use tid3r::{
     parameters,
-    photos::photos_from_paths,
+    photos::{Photo, photos_from_paths},
     progress::Progress,
     reconstruct::{MvDust3rParams, MvDust3rReconstructor, NewScene, PlacedPhoto, Placement},
     scene::{Scale, Scene, Stage, WriteLock},
@@ -42,7 +42,7 @@ pub(super) struct Reconstruct {
 }
 
 /// Which photos become a scene, and how.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Default, Args)]
 // `run` takes several structs of this name, and groups are called like structs.
 #[group(skip)]
 pub(super) struct Options {
@@ -79,6 +79,14 @@ impl Reconstruct {
 }
 
 impl Options {
+    /// The same of other photos.
+    pub(super) fn of(&self, photos: Vec<PathBuf>) -> Self {
+        Self {
+            photos,
+            ..self.clone()
+        }
+    }
+
     /// The same with a network that computes with this type.
     pub(super) fn in_type(mut self, dtype: ComputeType) -> Self {
         self.params.dtype = dtype;
@@ -110,6 +118,18 @@ impl Options {
         for warning in warnings {
             tracing::warn!("{warning}");
         }
+        self.reconstruct_photos(photos, weights, output, force, progress)
+    }
+
+    /// The same of these photos.
+    pub(super) fn reconstruct_photos(
+        self,
+        photos: Vec<Photo>,
+        weights: Found,
+        output: &Path,
+        force: bool,
+        progress: &dyn Progress,
+    ) -> Result<(Scene, WriteLock)> {
         let reconstructor = MvDust3rReconstructor::new(weights, self.params, self.max_memory)?;
         let lock = WriteLock::acquire(output)?;
         let paths: Vec<_> = photos.iter().map(|photo| &photo.path).collect();

@@ -145,6 +145,11 @@ impl Options {
         self.refine.has_networks()
     }
 
+    /// How points become pixels, and how photos are masked.
+    pub(super) fn appearance(&self) -> (&SplatParams, &ReferenceParams) {
+        (&self.splats, &self.references)
+    }
+
     /// What completes projections, with weights in `places` if it needs some.
     pub(super) fn completer(&self, places: &Places) -> Result<Box<dyn Completer>> {
         self.refine.completer(places)

@@ -1,18 +1,27 @@
-use super::{Dtype, edit as edit_verb, output, reconstruct, render, segment, terminal::Terminal};
+use super::{
+    Dtype, edit as edit_verb, evaluate, output, reconstruct, render, segment, suite::Suite,
+    terminal::Terminal,
+};
 use anyhow::Result;
 use clap::Args;
 use serde::Serialize;
 use serde_json::Value;
-use std::{path::PathBuf, time::Instant};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::Instant,
+};
 use tid3r::{
     Error,
     edit::{self, Edit, EditList, InstanceList},
+    evaluate::lpips::Perceptual,
     exchange::ply,
     progress::Progress,
     reconstruct::{CleanParams, CleanReport, clean},
-    render::{EditedScene, ViewFiles, Written},
+    render::{Completer, EditedScene, ViewFiles, Written},
     scene::{Scene, Stage, WriteLock},
     segment::SegmentReport,
+    suite::{SceneEntry, SceneList, SceneResult, Seconds, Shard, ShardChoice},
 };
 use tid3r_weights_convert::Places;
 
@@ -22,14 +31,20 @@ use tid3r_weights_convert::Places;
 /// options, and leaves the same scene behind. What is in place already, made from the same photos with
 /// the same options, is not done again: a run that was stopped goes on, and one with another edit or
 /// camera only renders. See `tid3r instances list SCENE` and contact_sheet.png for what can be edited.
+///
+/// With --manifest it does so for all scenes of a list, each in a folder of its own. Scenes whose cameras and depth
+/// are known are also measured; see below.
 #[derive(Debug, Args)]
 #[command(after_help = AFTER_HELP)]
+#[command(mut_arg("photos", |photos| photos.required(false).required_unless_present("manifest")))]
 pub(super) struct Run {
     #[command(flatten)]
     reconstruct: reconstruct::Options,
-    /// The folder of the scene
+    /// The folder of the scene, or that of all scenes of a list
     #[arg(short, long, value_name = "SCENE")]
     output: PathBuf,
+    #[command(flatten)]
+    many: Many,
     /// Folder of all weights, with one for each network, instead of that which TID3R_MODELS names
     #[arg(long, value_name = "FOLDER")]
     weights_dir: Option<PathBuf>,
@@ -51,9 +66,46 @@ pub(super) struct Run {
     render: render::Options,
 }
 
+/// Many scenes.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Lists of scenes")]
+struct Many {
+    /// Make and measure the scenes of this list, a TOML file (see below)
+    #[arg(long, value_name = "LIST", conflicts_with_all = ["photos", "edits", "remove"])]
+    manifest: Option<PathBuf>,
+    /// Which share of the scenes this process takes: I/N, or auto for what Slurm or Kubernetes says
+    #[arg(long, value_name = "SHARE", requires = "manifest")]
+    shard: Option<ShardChoice>,
+    /// Refine the cameras of test views by their photos
+    #[arg(long, requires = "manifest")]
+    refine_pose: bool,
+}
+
 const AFTER_HELP: &str = "Examples:\n  \
     tid3r run photos/ -o room\n  \
-    tid3r run photos/ -o room --remove 4 7 --orbit\n\n\
+    tid3r run photos/ -o room --remove 4 7 --orbit\n  \
+    tid3r run --manifest scenes.toml -o results --shard auto\n\n\
+    A list of scenes; what stands under [defaults] is of all that do not say otherwise, and paths are \
+    relative to the list:\n\n  \
+    [defaults]\n  \
+    inputs = [10, 20]       # photos that are chosen by overlap, at least and at most\n  \
+    tests = 8               # test views\n  \
+    size = 640              # their longer side, pixels\n\n  \
+    [[scene]]\n  \
+    name = \"kitchen\"\n  \
+    photos = [\"kitchen/\"]   # made, as by `tid3r run`, or:\n\n  \
+    [[scene]]\n  \
+    name = \"office\"\n  \
+    recording = \"office.sens\"            # anything that `tid3r import` reads: made and measured\n  \
+    truth_labels = \"office/instances\"    # optional, as all that follows\n  \
+    frames = \"0-300:30\"                  # photos, and test views, instead of choosing\n  \
+    test_frames = \"15,45\"\n  \
+    measure = [\"depth\", \"cameras\", \"instances\", \"views\"]\n  \
+    layout = \"scannet\"                   # intrinsics, depth_scale: as of `tid3r import`\n  \
+    [scene.clouds.pe3r]                  # what another network made of these photos\n  \
+    points = \"pe3r/office.ply\"\n  \
+    cameras = \"pe3r/office.json\"\n\n\
+    Results of several processes come together with `tid3r evaluate --merge`.\n\n\
     Weights are found as `tid3r weights list` says. `tid3r render --help` describes camera paths.";
 
 /// Edits to begin with.
@@ -154,23 +206,82 @@ impl Run {
         if let Some(folder) = &self.weights_dir {
             places = places.with_models(folder);
         }
-        let force = self.force;
         let dtype = self.numbers.dtype;
-        let (reconstruct, segment) = (self.reconstruct.in_type(dtype), self.segment.in_type(dtype));
-        let render = match self.render.has_networks() {
-            true => self.render.in_type(dtype),
-            false => self.render,
+        let this = Self {
+            reconstruct: self.reconstruct.in_type(dtype),
+            segment: self.segment.in_type(dtype),
+            render: match self.render.has_networks() {
+                true => self.render.in_type(dtype),
+                false => self.render,
+            },
+            ..self
         };
         // What can be wrong with it is said before any work.
+        let completer = this.render.completer(&places)?;
+        if let Some(list) = &this.many.manifest {
+            return this.run_list(list, &places, &*completer, terminal);
+        }
+        let photos = this.reconstruct.clone();
+        let report = this.run_one(photos, &this.output, &places, &*completer, terminal)?;
+        if this.json {
+            return output::json(&report);
+        }
+        print(&report)
+    }
+
+    fn run_list(
+        &self,
+        list: &Path,
+        places: &Places,
+        completer: &dyn Completer,
+        terminal: &Terminal,
+    ) -> Result<()> {
+        let scenes = SceneList::read(list)?;
+        let (splats, references) = self.render.appearance();
+        let suite = Suite {
+            folder: self.output.clone(),
+            shard: self
+                .many
+                .shard
+                .map_or(Ok(Shard::WHOLE), ShardChoice::resolve)?,
+            force: self.force,
+            places,
+            reconstruct: &self.reconstruct,
+            clean: &self.clean,
+            segment: &self.segment,
+            completer,
+            splats,
+            references,
+            perceptual: &Perceptual::find_those_there(places)?,
+            refine_poses: self.many.refine_pose,
+        };
+        let of_photos = |entry: &SceneEntry, folder: &Path, _: &dyn Progress| {
+            let photos = self.reconstruct.of(entry.photos.clone());
+            let folder = folder.join("scene");
+            let report = self.run_one(photos, &folder, places, completer, terminal)?;
+            Ok(report.as_result(&entry.name))
+        };
+        let results = suite.run(&scenes, &of_photos, terminal)?;
+        evaluate::report(&results, false, self.json)
+    }
+
+    fn run_one(
+        &self,
+        photos: reconstruct::Options,
+        folder: &Path,
+        places: &Places,
+        completer: &dyn Completer,
+        terminal: &Terminal,
+    ) -> Result<Report> {
+        let force = self.force;
         let wanted = self.edits.read()?;
-        let completer = render.completer(&places)?;
-        let weights = reconstruct.find_weights(&places)?;
+        let weights = photos.find_weights(places)?;
         let mut steps = Steps {
             terminal,
             all: Vec::new(),
         };
         let (mut scene, lock) = steps.run("reconstruct", |progress| {
-            let (scene, lock) = reconstruct.reconstruct(weights, &self.output, force, progress)?;
+            let (scene, lock) = photos.reconstruct(weights, folder, force, progress)?;
             let done = scene.has_run(Stage::Reconstruct);
             Ok(((scene, lock), done))
         })?;
@@ -179,7 +290,8 @@ impl Run {
             Ok((report, scene.has_run(Stage::Clean)))
         })?;
         let segmented = steps.run("segment", |progress| {
-            let report = segment.segment(&mut scene, &places, force, &lock, progress)?;
+            let segment = self.segment.clone();
+            let report = segment.segment(&mut scene, places, force, &lock, progress)?;
             Ok((
                 report,
                 scene.has_run(Stage::Masks) || scene.has_run(Stage::Unify),
@@ -188,22 +300,16 @@ impl Run {
         let list = steps.run("edit", |_| self.edits.apply(&scene, &wanted, &lock))?;
         let (views, points) = steps.run("render", |progress| {
             let edited = EditedScene::load(&scene)?;
-            let folder = scene.folder().join("views");
-            let Written { views, rendered } = render.render(
-                &scene,
-                &edited,
-                &*completer,
-                &folder,
-                force,
-                &lock,
-                progress,
-            )?;
+            let views = scene.folder().join("views");
+            let Written { views, rendered } = self
+                .render
+                .render(&scene, &edited, completer, &views, force, &lock, progress)?;
             let points = write_points(&scene, &list, &edited, rendered, &lock)?;
             Ok(((views, points), rendered))
         })?;
-        let report = Report {
+        Ok(Report {
             reconstruct: scene.require(Stage::Reconstruct)?.report.clone(),
-            scene: self.output,
+            scene: folder.into(),
             steps: steps.all,
             clean: cleaned,
             segment: segmented,
@@ -211,11 +317,33 @@ impl Run {
             views,
             points,
             overviews: ["contact_sheet.png", "top_down.png"].map(|file| scene.folder().join(file)),
+        })
+    }
+}
+
+impl Report {
+    /// The same as the result of a scene without a truth.
+    fn as_result(&self, scene: &str) -> SceneResult {
+        let photos = self.reconstruct["photos"].as_array().map_or(0, Vec::len);
+        let seconds = |name: &str| -> f64 {
+            let steps = self.steps.iter().filter(|step| step.name == name);
+            steps.map(|step| step.seconds).sum()
         };
-        if self.json {
-            return output::json(&report);
+        SceneResult {
+            scene: scene.into(),
+            recipe: String::new(),
+            generator: concat!("tid3r ", env!("CARGO_PKG_VERSION")).into(),
+            photos,
+            placed: self.clean.photos.len(),
+            tests: self.views.len(),
+            rows: BTreeMap::new(),
+            seconds: Seconds {
+                reconstruct: seconds("reconstruct") + seconds("clean"),
+                segment: seconds("segment"),
+                render: seconds("render"),
+            },
+            notes: Vec::new(),
         }
-        print(&report)
     }
 }
 

@@ -68,7 +68,7 @@ pub(super) struct Segment {
 }
 
 /// How a scene is cut and unified.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Default, Args)]
 pub(super) struct Options {
     /// What makes the masks [default: mobilesamv2 if its weights are here, else graph]
     #[arg(long, value_enum, value_name = "NAME", conflicts_with = "masks")]

@@ -11,7 +11,7 @@ use crate::{
         depth::Alignment,
         image::psnr,
         lpips::Perceptual,
-        scene::{DepthComparison, InstanceComparison, ViewsReport},
+        scene::{ComparedView, DepthComparison, InstanceComparison, ViewsReport},
     },
     geometry::{Camera, Point},
     progress::Progress,
@@ -222,7 +222,12 @@ impl Show<'_> {
         let (_, views) = self.render(Vec::new(), "novel_views", progress)?;
         let shots = self.set.held_out.iter().zip(&views);
         let compared: Vec<_> = shots
-            .map(|(shot, view)| (&*shot.name, view, &shot.view.colour))
+            .map(|(shot, view)| ComparedView {
+                name: &shot.name,
+                completed: &view.picture,
+                projected: &view.projection.colour,
+                truth: &shot.view.colour,
+            })
             .collect();
         let report =
             ViewsReport::new(&compared, &Perceptual::none(), progress)?.ok_or_else(|| {

@@ -94,6 +94,16 @@ impl Perceptual {
         })
     }
 
+    /// What the networks are, so that results with other ones can be told apart.
+    pub fn description(&self) -> serde_json::Value {
+        let loaded = [&self.alex, &self.vgg].into_iter().flatten();
+        let described = loaded.map(|loaded| {
+            let found = &loaded.found;
+            serde_json::json!([found.network.name, found.file.weights_sha256])
+        });
+        described.collect()
+    }
+
     /// The distances of `picture` from `truth`.
     ///
     /// # Errors

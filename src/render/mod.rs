@@ -15,7 +15,7 @@ pub use completer::{Bare, Completed, Completer, Completion, Keeps, Kept, Step, V
 pub use contact_sheet::contact_sheet;
 pub use path::{between, orbit, path_cameras};
 pub use projection::{Projection, SplatParams, project};
-pub use record::scene_recipe;
+pub use record::{scene_recipe, unedited_recipe};
 pub use references::{Reference, ReferenceParams, reference_masks};
 pub use stage::{EditedScene, Rendering, Shown, Story, Target, ViewFiles, Written};
 pub use top_down::top_down;

@@ -1,3 +1,4 @@
+use super::Shown;
 use crate::{
     Result,
     edit::EditList,
@@ -23,6 +24,21 @@ pub fn scene_recipe(scene: &Scene) -> Result<String> {
         hasher.text(&scene.require(stage)?.output);
     }
     hasher.text(&serde_json::json!(edits.edits()).to_string());
+    Ok(hasher.finish())
+}
+
+/// The same for a scene without its edits ([`EditedScene::unedited`](super::EditedScene::unedited)).
+///
+/// # Errors
+/// When the scene has not been cleaned where it should be.
+pub fn unedited_recipe(scene: &Scene, shown: Shown) -> Result<String> {
+    let mut hasher = Hasher::new();
+    hasher.text(env!("CARGO_PKG_VERSION"));
+    hasher.text(&scene.require(Stage::Reconstruct)?.output);
+    match shown {
+        Shown::Cleaned => hasher.text(&scene.require(Stage::Clean)?.output),
+        Shown::All => hasher.text("all points"),
+    };
     Ok(hasher.finish())
 }
 

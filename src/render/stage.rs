@@ -101,6 +101,8 @@ pub struct ViewFiles {
     pub name: String,
     /// The completed picture.
     pub picture: PathBuf,
+    /// The bare projection, black where no point landed.
+    pub projection: PathBuf,
     /// The share of the picture that points landed on.
     pub covered: f64,
 }
@@ -240,11 +242,12 @@ impl Rendering<'_> {
         }
         take(&mut *completion, &pending, &mut store, progress)?;
         let files = |(name, _): &(String, Camera)| {
-            let [picture, ..] = View::files(name);
+            let [picture, projection, ..] = View::files(name);
             ViewFiles {
                 name: name.clone(),
                 covered: record.covered(&picture),
                 picture: target.folder.join(picture),
+                projection: target.folder.join(projection),
             }
         };
         Ok(Written {

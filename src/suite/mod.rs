@@ -8,12 +8,14 @@ mod choose;
 mod list;
 pub mod paper;
 mod result;
+mod scenes;
 mod shard;
 mod tables;
 
 pub use choose::{Choice, Counts, choose};
 pub use list::{CloudFiles, Measure, SceneEntry, SceneList};
 pub use result::{RESULT_FILE, RowFigures, SceneResult, Seconds, ViewFigures, results_in};
+pub use scenes::{cloud_scene, truth_scene};
 pub use shard::{Shard, ShardChoice};
 pub use tables::{Table, TableRow, Tables};
 

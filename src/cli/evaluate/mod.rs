@@ -1,6 +1,9 @@
+mod many;
 mod table;
 
-use super::{SceneArgument, output, refine, terminal::Terminal};
+pub(super) use many::report;
+
+use super::{output, refine, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -24,8 +27,9 @@ use tid3r_weights_convert::Places;
 /// --truth come first: their cameras are brought into the scene's frame by the cameras of the photos that both have.
 #[derive(Debug, Args)]
 pub(super) struct Evaluate {
-    #[command(flatten)]
-    scene: SceneArgument,
+    /// The scene's folder
+    #[arg(value_name = "SCENE", required_unless_present_any = ["paper", "merge"])]
+    scene: Option<PathBuf>,
     /// A scene with the true depth and cameras of the same photos, by their names
     #[arg(long, value_name = "SCENE")]
     truth: Option<PathBuf>,
@@ -55,6 +59,8 @@ pub(super) struct Evaluate {
     refine: refine::Options,
     #[command(flatten)]
     references: ReferenceParams,
+    #[command(flatten)]
+    many: many::Options,
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
@@ -86,7 +92,13 @@ enum Lpips {
 
 impl Evaluate {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
-        let scene = Scene::open(&self.scene.scene)?;
+        if self.many.paper {
+            return self.run_paper(terminal);
+        }
+        let Some(scene) = &self.scene else {
+            return self.run_merge();
+        };
+        let scene = Scene::open(scene)?;
         let places = Places::of_environment();
         let completer = self.refine.completer(&places)?;
         let perceptual = self.perceptual(places)?;

@@ -12,9 +12,9 @@ mod views;
 pub use cameras::{CameraComparison, CameraErrors};
 pub use depth::DepthComparison;
 pub use instances::InstanceComparison;
-pub use run::{Evaluation, Report};
+pub use run::{Evaluation, KeptViews, Report};
 pub use test_views::{TestAlignment, TestRefinement};
-pub use views::ViewsReport;
+pub use views::{ComparedView, ViewsReport};
 
 use crate::{Error, scene::Scene};
 

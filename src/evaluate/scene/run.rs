@@ -1,7 +1,7 @@
 //! All comparisons of a scene for which there is a truth.
 
 use super::{
-    CameraComparison, DepthComparison, InstanceComparison, ViewsReport, lacks,
+    CameraComparison, ComparedView, DepthComparison, InstanceComparison, ViewsReport, lacks,
     test_views::TestViews,
 };
 use crate::{
@@ -9,12 +9,17 @@ use crate::{
     edit::InstanceList,
     evaluate::{depth::Alignment, lpips::Perceptual},
     geometry::Pose,
+    photos::Photo,
     progress::Progress,
     reconstruct::{PlacedPhoto, Placement},
-    render::{EditedScene, Rendering, Shown},
-    scene::{Frame, Role, Scene, Stage},
+    render::{
+        EditedScene, Rendering, Shown, Story, Target, View, ViewFiles, scene_recipe,
+        unedited_recipe,
+    },
+    scene::{Frame, Role, Scene, Stage, WriteLock},
     segment::{Instances, LabelImages, unify},
 };
+use image::RgbImage;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -38,6 +43,15 @@ pub struct Evaluation<'a> {
     pub perceptual: &'a Perceptual,
 }
 
+/// Where views are kept that were rendered to be compared.
+#[derive(Clone, Copy, Debug)]
+pub struct KeptViews<'a> {
+    /// The folder.
+    pub folder: &'a Path,
+    /// Of the scene.
+    pub lock: &'a WriteLock,
+}
+
 /// What came of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -57,28 +71,10 @@ impl Evaluation<'_> {
     /// # Errors
     /// When a truth cannot be read or does not belong to the scene, or there is none.
     pub fn of(&self, scene: &Scene, progress: &dyn Progress) -> Result<Report> {
-        let frames = scene.frames(Role::Input)?;
-        progress.begin("evaluating", 2);
-        let truth = self
-            .truth
-            .as_ref()
-            .map(|folder| Scene::open(folder))
-            .transpose()?;
-        let (depth, cameras) = match &truth {
-            Some(truth) => (self.depth(scene, &frames, truth)?, cameras(scene, truth)?),
-            None => (None, None),
-        };
-        progress.advance(1);
-        let instances = match &self.truth_labels {
-            Some(folder) => Some(instances(scene, &frames, folder)?),
-            None => None,
-        };
-        progress.end();
+        let truth = self.truth()?;
         let report = Report {
-            depth,
-            cameras,
-            instances,
-            views: self.views(scene, truth.as_ref(), Shown::Cleaned, progress)?,
+            views: self.views(scene, truth.as_ref(), Shown::Cleaned, None, progress)?,
+            ..self.compared(scene, progress)?
         };
         match &report {
             Report {
@@ -93,6 +89,36 @@ impl Evaluation<'_> {
             )),
             _ => Ok(report),
         }
+    }
+
+    /// All comparisons but that of views.
+    ///
+    /// # Errors
+    /// When a truth cannot be read or does not belong to the scene.
+    pub fn compared(&self, scene: &Scene, progress: &dyn Progress) -> Result<Report> {
+        let frames = scene.frames(Role::Input)?;
+        progress.begin("evaluating", 2);
+        let (depth, cameras) = match &self.truth()? {
+            Some(truth) => (self.depth(scene, &frames, truth)?, cameras(scene, truth)?),
+            None => (None, None),
+        };
+        progress.advance(1);
+        let instances = match &self.truth_labels {
+            Some(folder) => Some(instances(scene, &frames, folder)?),
+            None => None,
+        };
+        progress.end();
+        Ok(Report {
+            depth,
+            cameras,
+            instances,
+            views: None,
+        })
+    }
+
+    fn truth(&self) -> Result<Option<Scene>> {
+        let folder = self.truth.as_ref();
+        folder.map(|folder| Scene::open(folder)).transpose()
     }
 
     /// `None` where the truth has no depth at all: it may be of cameras alone.
@@ -125,7 +151,7 @@ impl Evaluation<'_> {
     }
 
     /// Compares rendered test views with their photos: those of the truth, if it has some, else the scene's own. `None`
-    /// where there are none, or the scene has not been cleaned yet.
+    /// where there are none, or the scene has not been cleaned yet. With `kept`, views stay there and are not rendered again.
     ///
     /// # Errors
     /// When cameras of the truth cannot be brought into the scene's frame, and those of the completer.
@@ -134,6 +160,7 @@ impl Evaluation<'_> {
         scene: &Scene,
         truth: Option<&Scene>,
         shown: Shown,
+        kept: Option<KeptViews>,
         progress: &dyn Progress,
     ) -> Result<Option<ViewsReport>> {
         if scene.manifest().fresh(Stage::Clean).is_none() {
@@ -164,11 +191,39 @@ impl Evaluation<'_> {
             }
             false => None,
         };
-        let views = self.rendering.views(&edited, &tests.cameras, progress)?;
-        let compared: Vec<_> = (tests.cameras.iter())
-            .zip(&views)
+        let pictures: Vec<[RgbImage; 2]> = match kept {
+            Some(kept) => {
+                let recipe = match self.truth_views {
+                    Some(_) => scene_recipe(scene)?,
+                    None => unedited_recipe(scene, shown)?,
+                };
+                let target = Target {
+                    folder: kept.folder,
+                    scene_recipe: &recipe,
+                    force: false,
+                };
+                let rendering = &self.rendering;
+                let written =
+                    rendering.write(&edited, &tests.cameras, &target, kept.lock, progress)?;
+                written.views.iter().map(read).collect::<Result<_>>()?
+            }
+            None => {
+                let views = self.rendering.views(&edited, &tests.cameras, progress)?;
+                let both = |(view, _): (View, Story)| [view.picture, view.projection.colour];
+                views.into_iter().map(both).collect()
+            }
+        };
+        let compared: Vec<ComparedView<'_>> = (tests.cameras.iter())
+            .zip(&pictures)
             .zip(&tests.pictures)
-            .map(|(((name, _), (view, _)), picture)| (&**name, view, picture))
+            .map(
+                |(((name, _), [completed, projected]), truth)| ComparedView {
+                    name,
+                    completed,
+                    projected,
+                    truth,
+                },
+            )
             .collect();
         let report = ViewsReport::new(&compared, self.perceptual, progress)?;
         Ok(report.map(|report| ViewsReport {
@@ -177,6 +232,12 @@ impl Evaluation<'_> {
             ..report
         }))
     }
+}
+
+/// A view that was written: completed, and as projected.
+fn read(files: &ViewFiles) -> Result<[RgbImage; 2]> {
+    let picture = |path: &Path| Photo::new(files.name.clone(), path).load();
+    Ok([picture(&files.picture)?, picture(&files.projection)?])
 }
 
 /// Photos that were left out of the scene count, too, if the truth has them. `None` for a single photo.

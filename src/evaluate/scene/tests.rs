@@ -4,7 +4,7 @@ use crate::{
     evaluate::{depth::Alignment, lpips::Perceptual},
     geometry::Pose,
     progress::Silent,
-    render::{self, View},
+    render,
     scene::{Cloud, test_frames::facing_wall},
     segment::Instances,
 };
@@ -70,11 +70,12 @@ fn views_are_compared_as_completed_and_as_projected() {
     let params = render::SplatParams { point_size: 0.5 };
     let projection = render::project(&cloud, &frames[0].camera, &params);
     let picture = render::fill::Fill.complete(&projection, &[]);
-    let view = View {
-        picture,
-        projection,
-    };
-    let views = [("a", &view, &frames[0].colour)];
+    let views = [ComparedView {
+        name: "a",
+        completed: &picture,
+        projected: &projection.colour,
+        truth: &frames[0].colour,
+    }];
     let report = ViewsReport::new(&views, &Perceptual::none(), &Silent)
         .unwrap()
         .unwrap();

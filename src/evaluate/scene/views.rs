@@ -5,7 +5,6 @@ use crate::{
     Result,
     evaluate::{image::ImageReport, lpips::Perceptual},
     progress::Progress,
-    render::View,
 };
 use image::RgbImage;
 use serde::Serialize;
@@ -27,26 +26,39 @@ pub struct ViewsReport {
     pub refinement: Option<TestRefinement>,
 }
 
+/// A rendered view and what it should look like.
+#[derive(Clone, Copy, Debug)]
+pub struct ComparedView<'a> {
+    /// The view's name.
+    pub name: &'a str,
+    /// The completed picture.
+    pub completed: &'a RgbImage,
+    /// Black where no point landed.
+    pub projected: &'a RgbImage,
+    /// The true picture.
+    pub truth: &'a RgbImage,
+}
+
 impl ViewsReport {
-    /// Compares views with true pictures, each with its name; `None` without any.
+    /// Compares views with true pictures; `None` without any.
     ///
     /// # Errors
     /// When a picture has not its view's size, or is too small for a metric.
     pub fn new(
-        views: &[(&str, &View, &RgbImage)],
+        views: &[ComparedView<'_>],
         perceptual: &Perceptual,
         progress: &dyn Progress,
     ) -> Result<Option<Self>> {
         progress.begin("comparing views", views.len());
         let (mut completed, mut projected) = (Vec::new(), Vec::new());
-        for (_, view, truth) in views {
-            completed.push(ImageReport::of(&view.picture, truth, perceptual)?);
-            projected.push(ImageReport::of(&view.projection.colour, truth, perceptual)?);
+        for view in views {
+            completed.push(ImageReport::of(view.completed, view.truth, perceptual)?);
+            projected.push(ImageReport::of(view.projected, view.truth, perceptual)?);
             progress.advance(1);
         }
         progress.end();
         let means = ImageReport::mean(&completed).zip(ImageReport::mean(&projected));
-        let names = views.iter().map(|(name, ..)| (*name).to_string());
+        let names = views.iter().map(|view| view.name.to_string());
         Ok(means.map(|(mean_completed, mean_projected)| Self {
             completed: mean_completed,
             projected: mean_projected,

@@ -15,6 +15,16 @@ struct Range {
 }
 
 impl FrameList {
+    /// These frames, one by one.
+    pub fn of(numbers: &[u64]) -> Self {
+        let single = |&number: &u64| Range {
+            first: number,
+            last: number,
+            step: 1,
+        };
+        Self(numbers.iter().map(single).collect())
+    }
+
     /// The numbers in the order given; a number given twice comes twice.
     pub fn numbers(&self) -> impl Iterator<Item = u64> {
         self.0.iter().flat_map(|range| {

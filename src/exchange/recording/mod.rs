@@ -125,6 +125,14 @@ impl Recording {
         })
     }
 
+    /// The number by which users name a photo.
+    ///
+    /// # Errors
+    /// When the photo is not of this recording.
+    pub fn number(&self, photo: &Photo) -> Result<u64> {
+        Ok(self.view(photo)?.number)
+    }
+
     fn view(&self, photo: &Photo) -> Result<&View> {
         let found = self.views.iter().find(|view| view.photo == *photo);
         found.ok_or_else(|| {

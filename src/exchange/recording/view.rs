@@ -28,6 +28,8 @@ pub(super) struct View {
     /// As the scene has it: a file that is not there before [`View::frame`] if the recording has the photo
     /// within a larger file, or taken by a lens with distortion.
     pub(super) photo: Photo,
+    /// The number by which users name it.
+    pub(super) number: u64,
     source: PhotoSource,
     /// The lens that the photo was taken with.
     photo_lens: DistortedLens,
@@ -109,6 +111,7 @@ impl View {
         let [width, height] = frame_size(grid_size, options.max_size);
         Ok(Self {
             photo: scene_photo(entry, as_stored, photos_folder),
+            number: entry.number,
             source: entry.photo.clone(),
             photo_lens,
             transform: PhotoTransform::whole(photo, [width, height]),
