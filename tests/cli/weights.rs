@@ -100,6 +100,7 @@ fn every_action_explains_itself() {
                 "--force",
                 "--heads",
                 "--network",
+                "--with",
                 ".pth",
                 "MVD_weights",
             ],

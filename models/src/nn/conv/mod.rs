@@ -38,8 +38,8 @@ pub enum Precision {
 
 /// A 2D convolution with an odd square kernel and `kernel / 2` zeros around the image. With stride
 /// `s`, `height` becomes `height / s`, rounded up, and `width` likewise; without, sizes stay
-/// ([`Self::with_padding`] and [`Self::with_padding_after`] are exceptions). Images are (batch, height, width, channels): channels
-/// last.
+/// ([`Self::with_padding`] and [`Self::with_padding_after`] are exceptions). Images are (batch, height,
+/// width, channels): channels last.
 ///
 /// On a CPU, Winograd's algorithm is used for 3x3 and 5x5 kernels of stride 1 with at least 32 channels.
 /// It uses the weights as they were read, also if that is in half precision. For other kernels, they are laid out in f32 when [`Self::forward`] is first

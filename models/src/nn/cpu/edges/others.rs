@@ -1,5 +1,7 @@
 //! What is not a product of matrices.
 
+use std::ops::Range;
+
 use super::super::{
     GroupNorm, Isa, Taps, UpscalingWeights, Windows, activation, layer_norm, max_pool, resize,
     rotate, upscaled_products,
@@ -10,11 +12,16 @@ use crate::nn::Activation;
 /// Around the lanes of all vectors and the sums that are kept side by side.
 const CHANNELS: [usize; 10] = [9, 1, 7, 8, 15, 16, 17, 33, 65, 130];
 
-/// A window around each pixel.
+/// A window around each pixel, and windows within an image.
 const AROUND: Windows = Windows {
     kernel: 3,
     stride: 1,
     beyond: 1,
+};
+const WITHIN: Windows = Windows {
+    kernel: 2,
+    stride: 2,
+    beyond: 0,
 };
 
 fn gelu(x: f64) -> f64 {
@@ -141,7 +148,7 @@ fn images_are_resized_and_pooled() {
         let rows: Taps<2> = vec![[(0, 0.25), (2, 0.5)], [(1, -1.0), (1, 2.0)]];
         let columns: Taps<2> = vec![[(3, 1.0), (0, 0.5)]];
         let mut resized = Vec::new();
-        let mut pooled = Vec::new();
+        let (mut around, mut within) = (Vec::new(), Vec::new());
         for image in 0..2 {
             for row in &rows {
                 for c in 0..channels {
@@ -154,24 +161,28 @@ fn images_are_resized_and_pooled() {
                     resized.push(sum);
                 }
             }
+            let most = |rows: Range<usize>, columns: Range<usize>, c: usize| {
+                let pixels = rows.flat_map(|v| columns.clone().map(move |u| (v, u)));
+                pixels.fold(f64::MIN, |most, (v, u)| most.max(pixel(image, v, u, c)))
+            };
             for at in 0..height * width {
                 let [y, x] = [at / width, at % width];
-                for c in 0..channels {
-                    let mut most = f64::MIN;
-                    for v in y.saturating_sub(1)..(y + 2).min(height) {
-                        for u in x.saturating_sub(1)..(x + 2).min(width) {
-                            most = most.max(pixel(image, v, u, c));
-                        }
-                    }
-                    pooled.push(most);
-                }
+                let [rows, columns] = [(y, height), (x, width)]
+                    .map(|(i, size)| i.saturating_sub(1)..(i + 2).min(size));
+                around.extend((0..channels).map(|c| most(rows.clone(), columns.clone(), c)));
+            }
+            for column in 0..2 {
+                let columns = 2 * column..2 * column + 2;
+                within.extend((0..channels).map(|c| most(0..2, columns.clone(), c)));
             }
         }
         for isa in Isa::available() {
             let got = resize(isa, &x, &rows, &columns).unwrap();
             check(&(isa, channels), &values(&got), &resized, 1e-6);
-            let got = max_pool(isa, &x, AROUND).unwrap();
-            check(&(isa, channels), &values(&got), &pooled, 0.0);
+            for (windows, pooled) in [(AROUND, &around), (WITHIN, &within)] {
+                let got = max_pool(isa, &x, windows).unwrap();
+                check(&(isa, channels), &values(&got), pooled, 0.0);
+            }
         }
     }
 }
