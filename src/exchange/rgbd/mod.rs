@@ -18,7 +18,7 @@ mod reduce;
 mod selection;
 mod seven_scenes;
 #[cfg(test)]
-mod test_room;
+pub(crate) mod test_room;
 #[cfg(test)]
 mod tests;
 mod view;
