@@ -19,8 +19,8 @@ const EXAMPLES: &str = "Examples:
   tid3r export room -o cameras.json                      for tid3r render --path, or your own script
   tid3r export room -o depth --format depth              maps of each photo
 
-Clouds are as edits left them; photos and their depth are as photographed. Scenes made from photos alone
-have units of their own: where a format can say so, it does (scale: relative).";
+Clouds are as edits left them; photos and their depth are as photographed. Scenes made from
+photos alone have units of their own: where a format can say so, it does (scale: relative).";
 
 /// Write the edited scene for other programs.
 ///

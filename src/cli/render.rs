@@ -26,7 +26,8 @@ pub(super) const PATH_FORMAT: &str = r#"A camera path (--path) is a JSON file:
    "steps": 10}
 Poses are OpenCV's (x right, y down, z forward) in the scene's frame, rows first. "name" and
 "intrinsics" may be left out; so may "steps", the number of cameras between each two views. Every
-rendered view comes with NAME.json, which has the form of an entry of "views"."#;
+rendered view comes with NAME.json, which has the form of an entry of "views"; `tid3r export SCENE -o
+cameras.json` writes a file with the photos' cameras."#;
 
 /// Render pictures of the edited scene.
 ///

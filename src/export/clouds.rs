@@ -6,7 +6,7 @@ use crate::{
         ply,
     },
     geometry::Pose,
-    scene::{Role, Scene},
+    scene::{Role, Scene, Stage},
 };
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use serde_json::json;
@@ -19,6 +19,7 @@ pub(super) fn write_ply(scene: &Scene, contents: &Contents, path: &Path) -> Resu
 
 /// A file for each instance, called by its id and its name.
 pub(super) fn write_instances(scene: &Scene, contents: &Contents, folder: &Path) -> Result<String> {
+    scene.require(Stage::Unify)?;
     let clouds = contents.by_instance();
     for (&id, cloud) in &clouds {
         let name = file_name(contents.name(id));

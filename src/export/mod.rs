@@ -21,7 +21,7 @@ use contents::Contents;
 use std::{fs, path::Path};
 
 /// What of a scene is exported, and how.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ExportParams {
     /// Only the points of these instances, by id or name; all points if empty.
     pub only: Vec<String>,

@@ -78,6 +78,41 @@ fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        exchange::rgbd::test_room::write_turned_png, photos::PhotoTransform,
+        scene::test_frames::camera_at,
+    };
+    use image::{Rgb, RgbImage};
+
+    #[test]
+    fn photos_lie_there_as_cameras_see_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let picture = RgbImage::from_fn(6, 4, |x, y| Rgb([40 * x as u8, 40 * y as u8, 0]));
+        let record = |size| FrameRecord {
+            photo: Photo::new("a", &path),
+            transform: PhotoTransform::whole(size, [3, 2]),
+            camera: camera_at(0.0),
+        };
+        for (orientation, size) in [(1, [6, 4]), (6, [4, 6])] {
+            write_turned_png(&path, &picture, orientation);
+            let copied = copy(&record(size), &folder.path().join("images")).unwrap();
+            let plain = image::open(&copied).unwrap().into_rgb8();
+            assert_eq!([plain.width(), plain.height()], size);
+            let seen = record(size).photo.load().unwrap();
+            assert_eq!(plain, seen);
+            assert!(Photo::new("b", &copied).is_stored_upright().unwrap());
+        }
+        let message = copy(&record([6, 4]), folder.path())
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("has changed"), "{message}");
+        fs::remove_file(&path).unwrap();
+        let message = copy(&record([6, 4]), folder.path())
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("no longer there"), "{message}");
+    }
 
     #[test]
     fn files_are_called_like_photos() {

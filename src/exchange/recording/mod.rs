@@ -21,7 +21,7 @@ mod resample;
 mod selection;
 mod sizes;
 #[cfg(test)]
-mod test_room;
+pub(crate) mod test_room;
 #[cfg(test)]
 mod tests;
 mod view;

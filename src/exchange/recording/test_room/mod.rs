@@ -198,7 +198,7 @@ pub(super) fn write_depth_png(path: &Path, metres: &Map<f64>) {
 }
 
 /// A PNG whose EXIF data ask for `orientation` (1 to 8).
-pub(super) fn write_turned_png(path: &Path, photo: &RgbImage, orientation: u8) {
+pub(crate) fn write_turned_png(path: &Path, photo: &RgbImage, orientation: u8) {
     let mut exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
     exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0]);
     let mut bytes = Vec::new();
