@@ -142,6 +142,15 @@ pub(crate) fn unreadable(path: &Path, problem: impl Display) -> Error {
     )
 }
 
+/// How far the aspect ratios of pictures of one shape may differ: ScanNet has 1296x968 beside 640x480.
+const SHAPE_TOLERANCE: f64 = 0.015;
+
+/// Whether two sizes can be those of one picture, resized.
+pub(crate) fn same_shape(a: [u32; 2], b: [u32; 2]) -> bool {
+    let [a, b] = [a, b].map(|[width, height]| f64::from(width) / f64::from(height));
+    (a / b - 1.0).abs() <= SHAPE_TOLERANCE
+}
+
 /// How a frame was cut out of a photo and resized: the photo's pixel rectangle, and the frame's size.
 ///
 /// Sizes are those of the upright photo. Rectangles are in pixel *edges*: the whole photo is

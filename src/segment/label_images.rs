@@ -1,7 +1,7 @@
 use super::{Mask, Segmenter};
 use crate::{
     Error, Map, Result,
-    photos::unreadable,
+    photos::{same_shape, unreadable},
     scene::{Frame, Hasher},
 };
 use image::{DynamicImage, ImageReader};
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// not mean the same in different files.
 ///
 /// A photo called `name` has `name.png` or `name.pgm`; 8 or 16 bits of grey are the label, colours are
-/// labels too (black is none). An image of another size is sampled at pixel centres.
+/// labels too (black is none). An image of another size, but of the photo's shape, is sampled at pixel centres.
 #[derive(Clone, Debug)]
 pub struct LabelImages {
     folder: PathBuf,
@@ -38,7 +38,7 @@ impl LabelImages {
     /// The label image of a frame's photo, in the frame's size.
     ///
     /// # Errors
-    /// When there is none, it cannot be read, or it has not the photo's size.
+    /// When there is none, it cannot be read, or it has not the photo's shape.
     pub fn labels(&self, frame: &Frame) -> Result<Map<u32>> {
         let path = self.find(&frame.photo.name)?;
         let image = ImageReader::open(&path)
@@ -48,12 +48,12 @@ impl LabelImages {
             .map_err(|error| unreadable(&path, error))?;
         let size = [image.width(), image.height()];
         let transform = &frame.transform;
-        if size != transform.photo_size && size != transform.frame_size {
+        if size != transform.frame_size && !same_shape(size, transform.photo_size) {
             return Err(Error::file(
                 &path,
                 format!("is {}x{}, unlike its photo", size[0], size[1]),
                 format!(
-                    "give a label image of the photo's size, {}x{}",
+                    "give a label image of the photo's size, {}x{}, or of its shape",
                     transform.photo_size[0], transform.photo_size[1]
                 ),
             ));
@@ -64,7 +64,11 @@ impl LabelImages {
         }
         let [width, height] = transform.frame_size;
         Ok(Map::from_fn(width, height, |x, y| {
-            let [u, v] = transform.to_photo([f64::from(x), f64::from(y)]);
+            let at = transform.to_photo([f64::from(x), f64::from(y)]);
+            let [u, v] = std::array::from_fn(|axis| {
+                let scale = f64::from(size[axis]) / f64::from(transform.photo_size[axis]);
+                (at[axis] + 0.5) * scale - 0.5
+            });
             labels.nearest(u, v).map_or(0, |at| labels.values()[at])
         }))
     }
@@ -136,7 +140,7 @@ mod tests {
         frame.photo.name = "a".into();
         frame.transform.photo_size = [64, 48];
         frame.transform.crop_size = [64.0, 48.0];
-        for (width, half) in [(64, 32), (32, 16)] {
+        for (width, half) in [(64, 32), (32, 16), (128, 64)] {
             let image = ImageBuffer::from_fn(width, width * 3 / 4, |x, _| {
                 Luma([if x < half { 700_u16 } else { 300 }])
             });

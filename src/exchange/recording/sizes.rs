@@ -7,11 +7,10 @@ use super::{
 use crate::{
     Error, Result,
     geometry::{DistortedLens, Intrinsics},
+    photos::same_shape,
 };
 use image::metadata::Orientation;
 
-/// How far the aspect ratios of photo and depth may differ.
-const ASPECT_TOLERANCE: f64 = 0.015;
 /// A principal point farther off centre than this share of a side deserves a warning.
 const OFF_CENTRE: f64 = 0.25;
 
@@ -25,7 +24,7 @@ pub(super) fn photo_intrinsics(
 ) -> Result<Intrinsics> {
     let lens = &entry.lens.lens;
     let size = match entry.lens.size {
-        Some(size) if same_aspect(size, photo) => size,
+        Some(size) if same_shape(size, photo) => size,
         Some(size) => {
             return Err(Error::file(
                 entry.photo.path(),
@@ -49,6 +48,7 @@ pub(super) fn photo_intrinsics(
     Ok(intrinsics.resized(photo[0], photo[1]))
 }
 
+/// The lens on an image of this size.
 pub(super) fn on_image(entry: &Entry, lens: &Lens, size: [u32; 2]) -> Result<Intrinsics> {
     lens.on_image(size).map_err(|problem| {
         Error::file(
@@ -68,7 +68,7 @@ pub(super) fn grid_size(
     depth_lens: Option<&DistortedLens>,
 ) -> [u32; 2] {
     match (depth, depth_lens) {
-        (Some(depth), _) if same_aspect(photo, depth) => depth,
+        (Some(depth), _) if same_shape(photo, depth) => depth,
         (Some(_), Some(depth_lens)) => {
             let scale = (depth_lens.intrinsics.fx / photo_lens.fx).min(1.0);
             photo.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
@@ -79,8 +79,9 @@ pub(super) fn grid_size(
 
 /// The size of the photo as it is to be used, and whether that is as stored.
 ///
-/// A photo whose stored pixels fit the depth, or the size that the lens is stated for, is used as stored even
-/// if its EXIF data turn it: depth and intrinsics are of the sensor's pixels, and only later programs turned the photo.
+/// A photo whose stored pixels fit the depth, or the size that the lens is stated for, is used as stored
+/// even if its EXIF data turn it: depth and intrinsics are of the sensor's pixels, and only later programs
+/// turned the photo.
 pub(super) fn photo_size(header: &PictureHeader, reference: Option<[u32; 2]>) -> ([u32; 2], bool) {
     let [width, height] = header.size;
     let swapped = matches!(
@@ -96,20 +97,16 @@ pub(super) fn photo_size(header: &PictureHeader, reference: Option<[u32; 2]>) ->
         [width, height]
     };
     let turned = header.orientation != Orientation::NoTransforms;
-    if turned && reference.is_some_and(|reference| same_aspect(header.size, reference)) {
+    if turned && reference.is_some_and(|reference| same_shape(header.size, reference)) {
         (header.size, true)
     } else {
         (upright, false)
     }
 }
 
-pub(super) fn same_aspect(a: [u32; 2], b: [u32; 2]) -> bool {
-    let [a, b] = [a, b].map(|[width, height]| f64::from(width) / f64::from(height));
-    (a / b - 1.0).abs() <= ASPECT_TOLERANCE
-}
-
+/// The error about a photo and its depth that do not have the same shape.
 pub(super) fn unlike(chosen: &Chosen<'_>, photo: [u32; 2], depth: [u32; 2]) -> Error {
-    let (problem, remedy) = if same_aspect([photo[1], photo[0]], depth) {
+    let (problem, remedy) = if same_shape([photo[1], photo[0]], depth) {
         (
             "do not stand the same way up",
             "turn the photos back to the way the sensor recorded them",

@@ -7,12 +7,12 @@ use super::{
     reduce::reduce,
     resample::{keep_seen, resample},
     selection::Chosen,
-    sizes::{frame_size, grid_size, on_image, photo_intrinsics, photo_size, same_aspect, unlike},
+    sizes::{frame_size, grid_size, on_image, photo_intrinsics, photo_size, unlike},
 };
 use crate::{
     Error, Map, Result,
     geometry::{Camera, DistortedLens, Distortion, Intrinsics},
-    photos::{Photo, PhotoTransform, undistorted},
+    photos::{Photo, PhotoTransform, same_shape, undistorted},
     scene::{Frame, files},
 };
 use image::RgbImage;
@@ -67,7 +67,7 @@ impl View {
         };
         let (photo, as_stored) = photo_size(&header, entry.lens.size.or(depth));
         if let Some(depth) = depth {
-            if entry.depth_lens.is_none() && !same_aspect(photo, depth) {
+            if entry.depth_lens.is_none() && !same_shape(photo, depth) {
                 return Err(unlike(chosen, photo, depth));
             }
             if depth[0] / photo[0] > WIDEST_DEPTH {
