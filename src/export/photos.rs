@@ -79,7 +79,7 @@ fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
 mod tests {
     use super::*;
     use crate::{
-        exchange::rgbd::test_room::write_turned_png, photos::PhotoTransform,
+        exchange::recording::test_room::write_turned_png, photos::PhotoTransform,
         scene::test_frames::camera_at,
     };
     use image::{Rgb, RgbImage};
