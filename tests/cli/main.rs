@@ -17,6 +17,7 @@ mod export_formats;
 mod import;
 mod instances;
 mod killed;
+mod lists;
 mod place;
 mod reconstruct;
 mod recording;
