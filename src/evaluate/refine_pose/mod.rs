@@ -32,6 +32,8 @@ const LATER_LEVELS: usize = 3;
 const SETTLED_PX: f64 = 0.02;
 /// A refined camera must see this share of the points that it saw before.
 const STILL_SEEN: f64 = 0.8;
+/// Where the cloud explains less than this of the photo, a better pose would be one by chance.
+const TRUSTED: f64 = 0.25;
 /// Points may move by this share of the picture's width, the median; farther away is another place that looks alike.
 const REACH: f64 = 0.12;
 
@@ -84,7 +86,7 @@ pub fn refine_pose(cloud: &Cloud, camera: &Camera, photo: &RgbImage) -> RefinedP
             if !is_near || (latest.pixels as f64) < STILL_SEEN * given.pixels as f64 {
                 break;
             }
-            if latest.agreement > best.agreement {
+            if latest.agreement > best.agreement.max(TRUSTED) {
                 best = latest.clone();
             }
             if step < SETTLED_PX {
@@ -141,7 +143,7 @@ impl Seen {
     }
 }
 
-/// How far pixels of `projection` move in the picture, the median, if its camera does.
+/// How far pixels of `projection` move in the picture, the median, if its camera does; endlessly far behind the camera.
 fn distance_px(projection: &Projection, moved: &Camera) -> f64 {
     let depth = &projection.depth;
     let known = (0..depth.len()).step_by(97).filter_map(|index| {
@@ -149,8 +151,8 @@ fn distance_px(projection: &Projection, moved: &Camera) -> f64 {
         let (x, y) = depth.pixel(index);
         let (x, y) = (f64::from(x), f64::from(y));
         let point = (z > 0.0).then(|| projection.camera.unproject(x, y, z))?;
-        let ([u, v], _) = moved.project(&point)?;
-        Some((u - x).hypot(v - y))
+        let seen = moved.project(&point);
+        Some(seen.map_or(f64::INFINITY, |([u, v], _)| (u - x).hypot(v - y)))
     });
     let mut distances: Vec<f64> = known.collect();
     distances.sort_by(f64::total_cmp);
