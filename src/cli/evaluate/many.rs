@@ -1,10 +1,12 @@
 //! `evaluate --paper` and `evaluate --merge`: many scenes.
 
 use super::Evaluate;
-use crate::cli::{output, suite, suite::Suite, terminal::Terminal};
+use crate::cli::{
+    suite::{Suite, report},
+    terminal::Terminal,
+};
 use anyhow::Result;
 use clap::Args;
-use serde_json::json;
 use std::{path::PathBuf, str::FromStr};
 use tid3r::{
     Error,
@@ -12,8 +14,7 @@ use tid3r::{
     reconstruct::CleanParams,
     render::SplatParams,
     suite::{
-        CloudFiles, SceneEntry, SceneList, SceneResult, Shard, ShardChoice, Tables, paper,
-        results_in,
+        CloudFiles, SceneEntry, SceneList, SceneResult, Shard, ShardChoice, paper, results_in,
     },
 };
 use tid3r_weights_convert::Places;
@@ -141,17 +142,4 @@ impl Evaluate {
 fn of_photos(entry: &SceneEntry, _: &std::path::Path, _: &dyn Progress) -> Result<SceneResult> {
     let problem = format!("the scene {} has no recording", entry.name);
     Err(Error::request(problem, "give its recording").into())
-}
-
-/// Prints tables and notes.
-pub(in crate::cli) fn report(
-    results: &[SceneResult],
-    with_paper: bool,
-    as_json: bool,
-) -> Result<()> {
-    if as_json {
-        let tables = Tables::new(results, with_paper).tables;
-        return output::json(&json!({ "tables": tables, "scenes": results }));
-    }
-    suite::print(results, with_paper)
 }
