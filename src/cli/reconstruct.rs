@@ -118,13 +118,13 @@ impl Options {
         for warning in warnings {
             tracing::warn!("{warning}");
         }
-        self.reconstruct_photos(photos, weights, output, force, progress)
+        self.reconstruct_photos(&photos, weights, output, force, progress)
     }
 
     /// The same of these photos.
     pub(super) fn reconstruct_photos(
         self,
-        photos: Vec<Photo>,
+        photos: &[Photo],
         weights: Found,
         output: &Path,
         force: bool,
@@ -134,7 +134,7 @@ impl Options {
         let lock = WriteLock::acquire(output)?;
         let paths: Vec<_> = photos.iter().map(|photo| &photo.path).collect();
         let scene = NewScene {
-            inputs: &photos,
+            inputs: photos,
             held_out: &[],
             scale: Scale::Relative,
             parameters: serde_json::json!({

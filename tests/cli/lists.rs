@@ -160,7 +160,7 @@ fn schedulers_say_which_share() {
             .current_dir(place.folder());
         for name in [
             "SLURM_PROCID",
-            "SLURM_NTASKS",
+            "SLURM_STEP_NUM_TASKS",
             "SLURM_ARRAY_TASK_ID",
             "JOB_COMPLETION_INDEX",
         ] {

@@ -39,6 +39,9 @@ pub(super) struct Options {
     /// The folder to write to; the same command goes on with what is not finished
     #[arg(short, long, value_name = "FOLDER", requires = "paper")]
     output: Option<PathBuf>,
+    /// Make everything again
+    #[arg(long, requires = "paper")]
+    force: bool,
     /// Which share of the scenes this process takes: I/N, or auto for what Slurm or Kubernetes says
     #[arg(long, value_name = "SHARE", requires = "paper")]
     shard: Option<ShardChoice>,
@@ -118,7 +121,7 @@ impl Evaluate {
             shard: options
                 .shard
                 .map_or(Ok(Shard::WHOLE), ShardChoice::resolve)?,
-            force: false,
+            force: options.force,
             places: &places,
             reconstruct: &Default::default(),
             clean: &CleanParams::default(),

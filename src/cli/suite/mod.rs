@@ -20,6 +20,7 @@ use tid3r::{
         lpips::Perceptual,
         scene::{Evaluation, KeptViews, ViewsReport},
     },
+    photos::Photo,
     progress::Progress,
     reconstruct::{CleanParams, clean},
     render::{Completer, ReferenceParams, Rendering, Shown, SplatParams},
@@ -155,18 +156,14 @@ impl Suite<'_> {
     ) -> Result<SceneResult> {
         let truth = suite::truth_scene(entry, recording, folder, self.force, progress)?;
         let made = folder.join("scene");
-        let photos = truth
-            .records(Role::Input)
-            .iter()
-            .map(|record| record.photo.clone());
+        let photos: Vec<Photo> = (truth.records(Role::Input).iter())
+            .map(|record| record.photo.clone())
+            .collect();
         let weights = self.reconstruct.find_weights(self.places)?;
-        let (mut scene, lock) = self.reconstruct.clone().reconstruct_photos(
-            photos.collect(),
-            weights,
-            &made,
-            self.force,
-            progress,
-        )?;
+        let (mut scene, lock) = self
+            .reconstruct
+            .clone()
+            .reconstruct_photos(&photos, weights, &made, self.force, progress)?;
         clean(&mut scene, self.clean, self.force, &lock, progress)?;
         let mut notes = Vec::new();
         let wants_instances = entry.measures(Measure::Instances) && entry.truth_labels.is_some();
