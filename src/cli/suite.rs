@@ -152,18 +152,12 @@ impl Suite<'_> {
         let made = folder.join("scene");
         let mut seconds = Seconds::default();
         let start = Instant::now();
-        let photos = truth
-            .records(Role::Input)
-            .iter()
-            .map(|record| record.photo.clone());
+        let records = truth.records(Role::Input).iter();
+        let photos: Vec<_> = records.map(|record| record.photo.clone()).collect();
         let weights = self.reconstruct.find_weights(self.places)?;
-        let (mut scene, lock) = self.reconstruct.clone().reconstruct_photos(
-            photos.collect(),
-            weights,
-            &made,
-            self.force,
-            progress,
-        )?;
+        let (mut scene, lock) = self
+            .reconstruct
+            .reconstruct_photos(&photos, weights, &made, self.force, progress)?;
         clean(&mut scene, self.clean, self.force, &lock, progress)?;
         seconds.reconstruct = start.elapsed().as_secs_f64();
         let mut notes = Vec::new();
