@@ -49,7 +49,7 @@ pub(super) struct Reconstruct {
 // `run` takes several structs of this name, and groups are called like structs.
 #[group(skip)]
 pub(super) struct Options {
-    /// The photos: files, folders, ZIP files, or a video; 10 to 20 of one room, overlapping
+    /// The photos: files, folders or ZIP files of photos, and videos; 10 to 20 of one room, overlapping
     #[arg(value_name = "PHOTOS", required = true)]
     photos: Vec<PathBuf>,
     #[command(flatten)]

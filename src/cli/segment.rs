@@ -42,7 +42,7 @@ pub(super) struct Segment {
     /// The scene's folder
     #[arg(value_name = "SCENE", required_unless_present = "photo")]
     scene: Option<PathBuf>,
-    /// Cut these photos, or those in these folders, ZIP files and videos, without a scene
+    /// Cut these photos, or those in these folders, ZIP files or videos, without a scene
     #[arg(long, value_name = "PHOTOS", num_args = 1.., conflicts_with_all = ["scene", "masks", "no_unify", "force"])]
     photo: Vec<PathBuf>,
     #[command(flatten)]

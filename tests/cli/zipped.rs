@@ -1,9 +1,11 @@
 //! Photos in ZIP files, as phones share them, and photos that cannot be read.
 
 use crate::{Place, place::assert_same_files, recording, segment};
+use exif::{Field, In, Tag, Value, experimental::Writer};
+use image::{ImageEncoder, codecs::png::PngEncoder};
 use std::{
     fs::{self, File},
-    io::Write,
+    io::{Cursor, Write},
 };
 use zip::{ZipWriter, write::SimpleFileOptions};
 
@@ -106,6 +108,54 @@ fn photos_of_several_files_have_names_of_their_own() {
     let message =
         place.fail("reconstruct photos.zip ./photos.zip -o other --weights mvd --size 48");
     assert!(message.contains("given twice"), "{message}");
+}
+
+#[test]
+fn turned_photos_are_upright_and_know_their_lens() {
+    let place = place();
+    let field = |tag, value| Field {
+        tag,
+        ifd_num: In::PRIMARY,
+        value: Value::Short(vec![value]),
+    };
+    // Held upright, and cut since: it then shows nobody knows which part of what the lens saw.
+    let as_it_was = [
+        field(Tag::Orientation, 6),
+        field(Tag::FocalLengthIn35mmFilm, 26),
+    ];
+    let cut = [
+        field(Tag::FocalLengthIn35mmFilm, 26),
+        field(Tag::PixelXDimension, 4000),
+        field(Tag::PixelYDimension, 2000),
+    ];
+    for (name, fields) in [("a", &as_it_was[..]), ("b", &cut[..])] {
+        let mut writer = Writer::new();
+        fields.iter().for_each(|field| writer.push_field(field));
+        let mut exif = Cursor::new(Vec::new());
+        writer.write(&mut exif, false).unwrap();
+        let file = File::create(place.path(&format!("photos/{name}.png"))).unwrap();
+        let mut encoder = PngEncoder::new(file);
+        encoder.set_exif_metadata(exif.into_inner()).unwrap();
+        recording::photo(0).write_with_encoder(encoder).unwrap();
+    }
+    write_zip(&place, "photos.zip", &[("a", "a"), ("b", "b")]);
+    let [out, _] = place.run_loud(
+        "reconstruct photos.zip -o scene --weights mvd --focal exif --order file --no-gaussians --json",
+    );
+    let report: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let placed = |k: usize| &report["photos"][k]["placed"];
+    let lens = &placed(0)["intrinsics"];
+    assert_eq!((&lens["width"], &lens["height"]), (&48.into(), &64.into()));
+    // The diagonal of 64x48 is 80, that of film 43.27 mm.
+    let focal = lens["fx"].as_f64().unwrap();
+    assert!((focal - 80.0 * 26.0 / 43.2666).abs() < 1e-3, "{lens}");
+    assert_eq!(placed(0)["focal"], "known");
+    assert_ne!(placed(1)["focal"], "known");
+    place.run_loud("clean scene");
+    place.run("export scene -o colmap --format colmap");
+    let copy = image::open(place.path("colmap/images/a.png")).unwrap();
+    let upright = image::imageops::rotate90(&recording::photo(0));
+    assert_eq!(copy.into_rgb8(), upright);
 }
 
 #[test]

@@ -42,10 +42,10 @@ const JPEG_QUALITY: u8 = 95;
 // Several structs that take it are in one command.
 #[group(skip)]
 pub struct VideoParams {
-    /// How many frames of a video become photos
+    /// How many frames of each video become photos, one of each of so many equal parts
     #[arg(id = "video_frames", long = "video-frames", value_name = "COUNT", default_value = "16", value_parser = parse_count)]
     pub frames: usize,
-    /// Which frame of each equal part of a video: the sharpest, or the one in the middle
+    /// Which frame of a part of a video becomes a photo
     #[arg(
         id = "video_choice",
         long = "video-choice",
@@ -69,7 +69,7 @@ impl Default for VideoParams {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum VideoChoice {
-    /// The one with the highest variance of the Laplacian
+    /// The sharpest (highest variance of the Laplacian)
     Sharp,
     /// The one in the middle
     Uniform,
