@@ -4,35 +4,23 @@
 //! again as they are.
 
 mod choice;
+mod samples;
 mod sharpness;
 mod tool;
 
 use super::{PHOTO_COUNT_LIMIT, decode, names::safe_name};
 use crate::{Error, Result, progress::Progress, scene::files};
-use choice::{Sample, chosen};
+use choice::chosen;
 use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
+use samples::samples;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use sharpness::sharpness;
 use std::{
-    fs,
-    io::{self, Read},
+    fs, io,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex},
 };
 use tool::{Tool, failed};
 
-/// Sides of the grey frames that are looked at, whatever the shape of the video: frames are only compared with
-/// each other.
-const GREY_SIDE: usize = 480;
-/// Frames are looked at so often at most, in microseconds.
-const CLOSEST: u64 = 100_000;
-/// So many are looked at, where the length is known.
-const SAMPLES: u64 = 3000;
-/// In short videos, at least so many for each that is wanted.
-const SAMPLES_EACH: u64 = 8;
-/// Videos that go on beyond this are none: a day, where the length is not known.
-const SAMPLE_LIMIT: usize = 864_000;
 /// As large as a frame may be.
 const FRAME_BYTES: u64 = 1 << 30;
 const JPEG_QUALITY: u8 = 95;
@@ -153,7 +141,7 @@ impl Video {
         {
             return Ok(moments);
         }
-        let samples = self.samples(params, progress)?;
+        let samples = samples(&self.path, params.frames, progress)?;
         let moments = chosen(&samples, params.frames, params.choice);
         if moments.is_empty() {
             return Err(failed("ffmpeg", &self.path, "it has no frames"));
@@ -225,146 +213,31 @@ impl Video {
         })?;
         Ok(path)
     }
-
-    /// The length in microseconds, if the file or its video stream says it.
-    fn length(&self) -> Result<Option<u64>> {
-        let before = [
-            "-v",
-            "error",
-            "-select_streams",
-            "V:0",
-            "-show_entries",
-            "stream=duration:format=duration",
-        ];
-        let mut before = before.to_vec();
-        before.extend(["-of", "json"]);
-        let ffprobe = Tool::start("ffprobe", &self.path, &before, &[], |_| false)?;
-        let text = ffprobe.whole_output(1 << 20, &self.path)?;
-        length(&text).map_err(|problem| failed("ffprobe", &self.path, problem))
-    }
-
-    /// Frames at even distances of time, and how sharp they are.
-    fn samples(&self, params: &VideoParams, progress: &dyn Progress) -> Result<Vec<Sample>> {
-        let length = self.length()?;
-        let step = step(length, params.frames);
-        // FFmpeg's times are numbers of seconds: the difference of two may fall short.
-        let least = step.saturating_sub(1000);
-        let expected = length.map_or(0, |length| length.div_ceil(step));
-        let filters = format!(
-            "select=isnan(prev_selected_t)+gte(t-prev_selected_t\\,{}.{:06}),scale={GREY_SIDE}:{GREY_SIDE}:\
-             flags=area,format=gray,settb=1/1000000,showinfo=checksum=0,setpts=N/10/TB",
-            least / 1_000_000,
-            least % 1_000_000,
-        );
-        // Rates without meaning, so that no frame is doubled or dropped.
-        let after = [
-            "-map", "0:V:0", "-vf", &filters, "-r", "10", "-c:v", "rawvideo", "-f", "rawvideo",
-            "pipe:1",
-        ];
-        let before = ["-hide_banner", "-nostdin", "-nostats", "-loglevel", "info"];
-        let heard = Arc::new(Mutex::new(Vec::new()));
-        let told = heard.clone();
-        let mut ffmpeg = Tool::start("ffmpeg", &self.path, &before, &after, move |line| {
-            let moment = moment(line);
-            if let (Some(moment), Ok(mut moments)) = (moment, told.lock())
-                && moments.len() <= SAMPLE_LIMIT
-            {
-                moments.push(moment);
-            }
-            line.contains("showinfo")
-        })?;
-        progress.begin(
-            "looking through the video",
-            usize::try_from(expected).unwrap_or(usize::MAX),
-        );
-        let values = sharpnesses(&mut ffmpeg.output, || progress.advance(1));
-        progress.end();
-        let values =
-            values.map_err(|problem| failed("ffmpeg", &self.path, &problem.to_string()))?;
-        ffmpeg.finish(&self.path)?;
-        let moments = heard
-            .lock()
-            .map(|mut moments| std::mem::take(&mut *moments))
-            .unwrap_or_default();
-        let in_order = moments.is_sorted();
-        if moments.len() != values.len() || !in_order {
-            let problem = format!(
-                "ffmpeg gives {} frames and {} times",
-                values.len(),
-                moments.len()
-            );
-            return Err(failed("ffmpeg", &self.path, &problem));
-        }
-        let samples = moments.into_iter().zip(values);
-        Ok(samples
-            .map(|(moment, sharpness)| Sample { moment, sharpness })
-            .collect())
-    }
-}
-
-/// How far apart in time frames are looked at, in microseconds.
-fn step(length: Option<u64>, wanted: usize) -> u64 {
-    let Some(length) = length else {
-        return CLOSEST;
-    };
-    let fine = length / (SAMPLES_EACH * wanted as u64);
-    fine.clamp(1, CLOSEST).max(length / SAMPLES)
-}
-
-/// The sharpness of each grey frame that comes.
-fn sharpnesses(frames: &mut impl Read, looked_at: impl Fn()) -> io::Result<Vec<f64>> {
-    let mut values = Vec::new();
-    let mut frame = Vec::with_capacity(GREY_SIDE * GREY_SIDE);
-    loop {
-        frame.clear();
-        frames
-            .by_ref()
-            .take((GREY_SIDE * GREY_SIDE) as u64)
-            .read_to_end(&mut frame)?;
-        if frame.is_empty() {
-            return Ok(values);
-        }
-        if frame.len() < GREY_SIDE * GREY_SIDE {
-            return Err(io::Error::other("it gives half a frame"));
-        }
-        if values.len() == SAMPLE_LIMIT {
-            return Err(io::Error::other("it does not end"));
-        }
-        values.push(sharpness(&frame, GREY_SIDE));
-        looked_at();
-    }
-}
-
-/// The moment of a frame, if this is a line of FFmpeg's filter `showinfo` about one. What is before the start is
-/// at it.
-fn moment(line: &str) -> Option<Moment> {
-    let (_, of_frame) = line
-        .split_once("showinfo")
-        .filter(|(_, rest)| rest.contains("] n:"))?;
-    let (_, time) = of_frame.split_once(" pts:")?;
-    let time: i64 = time.split_whitespace().next()?.parse().ok()?;
-    Some(Moment(u64::try_from(time).unwrap_or(0)))
-}
-
-/// The length in microseconds by what `ffprobe` says, if it says it.
-fn length(text: &[u8]) -> Result<Option<u64>, &'static str> {
-    let said: Value =
-        serde_json::from_slice(text).map_err(|_| "it says nothing that makes sense")?;
-    let stream = said["streams"]
-        .get(0)
-        .ok_or("there is no moving picture in it")?;
-    let seconds = |of: &Value| {
-        of["duration"]
-            .as_str()
-            .and_then(|text| text.parse::<f64>().ok())
-    };
-    let believable = |seconds: &f64| *seconds > 0.0 && *seconds < 1e7;
-    let known = [stream, &said["format"]]
-        .into_iter()
-        .filter_map(seconds)
-        .find(believable);
-    Ok(known.map(|seconds| (seconds * 1e6) as u64))
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_called_by_their_time() {
+        let called = |microseconds| {
+            Moment(microseconds)
+                .called("walk")
+                .to_str()
+                .unwrap()
+                .to_string()
+        };
+        assert_eq!(called(12_345_678), "walk_00m12s345.jpg");
+        assert_eq!(called(0), "walk_00m00s000.jpg");
+        assert_eq!(called(3_600_000_000 + 59_999_999), "walk_60m59s999.jpg");
+    }
+
+    #[test]
+    fn counts_are_read_within_their_limits() {
+        assert_eq!(parse_count("16"), Ok(16));
+        for text in ["0", "1001", "-1", "many", ""] {
+            assert!(parse_count(text).is_err(), "{text}");
+        }
+    }
+}
