@@ -27,6 +27,8 @@ mod see3d;
 mod segment;
 mod stages;
 mod usage;
+mod video;
 mod weights;
+mod zipped;
 
 use place::Place;

@@ -162,7 +162,6 @@ impl Suite<'_> {
         let weights = self.reconstruct.find_weights(self.places)?;
         let (mut scene, lock) = self
             .reconstruct
-            .clone()
             .reconstruct_photos(&photos, weights, &made, self.force, progress)?;
         clean(&mut scene, self.clean, self.force, &lock, progress)?;
         let mut notes = Vec::new();
