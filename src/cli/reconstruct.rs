@@ -135,15 +135,8 @@ impl Options {
         // A scene's own photos are found whatever folder later commands are run in.
         let folder = std::path::absolute(Scene::photos_folder(output))?;
         let photos = sources.photos(&folder, &self.videos, progress)?;
-        let scene = create(
-            &reconstructor,
-            &photos,
-            parameters,
-            output,
-            force,
-            &lock,
-            progress,
-        )?;
+        let scene = new_scene(&reconstructor, &photos, parameters);
+        let scene = scene.create(output, force, &lock, progress)?;
         Ok((scene, lock))
     }
 
@@ -163,45 +156,30 @@ impl Options {
             "photos": paths,
             "reconstructor": reconstructor.description(),
         });
-        let scene = create(
-            &reconstructor,
-            photos,
-            parameters,
-            output,
-            force,
-            &lock,
-            progress,
-        )?;
+        let scene = new_scene(&reconstructor, photos, parameters);
+        let scene = scene.create(output, force, &lock, progress)?;
         Ok((scene, lock))
     }
 
     fn reconstructor(&self, weights: Found) -> Result<MvDust3rReconstructor> {
         let params = self.params.clone();
-        Ok(MvDust3rReconstructor::new(
-            weights,
-            params,
-            self.max_memory,
-        )?)
+        let reconstructor = MvDust3rReconstructor::new(weights, params, self.max_memory)?;
+        Ok(reconstructor)
     }
 }
 
-fn create(
-    reconstructor: &MvDust3rReconstructor,
-    photos: &[Photo],
+fn new_scene<'a>(
+    reconstructor: &'a MvDust3rReconstructor,
+    photos: &'a [Photo],
     parameters: serde_json::Value,
-    output: &Path,
-    force: bool,
-    lock: &WriteLock,
-    progress: &dyn Progress,
-) -> Result<Scene> {
-    let scene = NewScene {
+) -> NewScene<'a> {
+    NewScene {
         inputs: photos,
         held_out: &[],
         scale: Scale::Relative,
         parameters,
         reconstructor,
-    };
-    Ok(scene.create(output, force, lock, progress)?)
+    }
 }
 
 fn print(scene: &Scene, report: &serde_json::Value) -> Result<()> {

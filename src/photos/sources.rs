@@ -117,24 +117,24 @@ impl PhotoSources {
         let found = self.each(folder, videos, progress)?;
         check_count(found.len())?;
         let called: Vec<PathBuf> = found.iter().map(|(called, _)| called.clone()).collect();
-        let to_unpack = found
+        let files = found
             .iter()
-            .filter(|(_, origin)| !matches!(origin, Origin::File(_)));
-        progress.begin("unpacking photos", to_unpack.count());
-        let unpacked =
-            unique_names(&called)
-                .into_iter()
-                .zip(&found)
-                .map(|(name, (called, origin))| {
-                    let own = || folder.join(file_of(&name, called));
-                    let path = match origin {
-                        Origin::File(path) => return Ok(Photo::new(name, *path)),
-                        Origin::Zipped(photo) => photo.unpack(own())?,
-                        Origin::Frame(video, moment) => video.extract(*moment, own())?,
-                    };
-                    progress.advance(1);
-                    Ok(Photo::new(name, path))
-                });
+            .filter(|(_, origin)| matches!(origin, Origin::File(_)));
+        let to_unpack = found.len() - files.count();
+        if to_unpack > 0 {
+            progress.begin("unpacking photos", to_unpack);
+        }
+        let photo = |(name, (called, origin)): (String, &(PathBuf, Origin<'_>))| {
+            let own = || folder.join(file_of(&name, called));
+            let path = match origin {
+                Origin::File(path) => return Ok(Photo::new(name, *path)),
+                Origin::Zipped(photo) => photo.unpack(own())?,
+                Origin::Frame(video, moment) => video.extract(*moment, own())?,
+            };
+            progress.advance(1);
+            Ok(Photo::new(name, path))
+        };
+        let unpacked = unique_names(&called).into_iter().zip(&found).map(photo);
         let unpacked = unpacked.collect();
         progress.end();
         unpacked

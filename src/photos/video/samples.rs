@@ -25,6 +25,7 @@ const SAMPLES: u64 = 3000;
 const SAMPLES_EACH: u64 = 8;
 /// Videos that go on beyond this are none: a day, where the length is not known.
 const SAMPLE_LIMIT: usize = 864_000;
+
 /// The length in microseconds, if the file or its video stream says it.
 fn known_length(video: &Path) -> Result<Option<u64>> {
     let before = [
