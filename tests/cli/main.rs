@@ -26,6 +26,7 @@ mod see3d;
 mod segment;
 mod stages;
 mod usage;
+mod view;
 mod weights;
 
 use place::Place;
