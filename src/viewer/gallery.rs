@@ -1,6 +1,10 @@
 //! What has been rendered from the page: a folder for each request below the scene's `gallery/`.
 
-use crate::{Error, Result, scene::files};
+use super::jobs::RenderRequest;
+use crate::{
+    Error, Result,
+    scene::{WriteLock, files},
+};
 use serde::{Deserialize, Serialize};
 use std::{
     fs,
@@ -8,6 +12,8 @@ use std::{
 };
 
 const RECORD: &str = "request.json";
+/// The file of a video.
+pub(super) const VIDEO: &str = "video.mp4";
 
 /// Renderings on disk.
 #[derive(Debug)]
@@ -16,15 +22,19 @@ pub(super) struct Gallery {
 }
 
 /// What was asked for.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Entry {
     /// In the order of the requests.
     #[serde(default)]
     pub(super) id: u32,
     pub(super) title: String,
+    pub(super) request: RenderRequest,
     /// What completes the views, for people.
     pub(super) completion: String,
     pub(super) views: Vec<EntryView>,
+    /// Whether there is a video of them.
+    #[serde(default)]
+    pub(super) video: bool,
 }
 
 /// A view that was asked for.
@@ -58,12 +68,11 @@ impl Gallery {
     ///
     /// # Errors
     /// When it cannot be written.
-    pub(super) fn add(&self, mut entry: Entry) -> Result<(u32, PathBuf)> {
+    pub(super) fn add(&self, mut entry: Entry, _lock: &WriteLock) -> Result<u32> {
         let last = self.ids().last().copied();
         entry.id = last.map_or(1, |last| last.saturating_add(1));
-        let folder = self.folder_of(entry.id);
-        files::write_json(&folder.join(RECORD), &entry)?;
-        Ok((entry.id, folder))
+        files::write_json(&self.folder_of(entry.id).join(RECORD), &entry)?;
+        Ok(entry.id)
     }
 
     /// All requests of which something is there, in order; what cannot be read is left out.
@@ -79,6 +88,7 @@ impl Gallery {
         let folder = self.folder_of(id);
         let mut entry: Entry = files::read_json(&folder.join(RECORD), "").ok()?;
         entry.id = id;
+        entry.video = folder.join(VIDEO).is_file();
         entry.views.retain(|view| is_plain(&view.name));
         for view in &mut entry.views {
             view.done = folder
@@ -100,7 +110,7 @@ impl Gallery {
     ///
     /// # Errors
     /// When there is none, or it cannot be deleted.
-    pub(super) fn delete(&self, id: u32) -> Result<()> {
+    pub(super) fn delete(&self, id: u32, _lock: &WriteLock) -> Result<()> {
         let folder = self.folder_of(id);
         if !folder.join(RECORD).is_file() {
             let problem = format!("there is no rendering {id}");
@@ -109,7 +119,8 @@ impl Gallery {
         fs::remove_dir_all(&folder).map_err(Error::io("delete", &folder))
     }
 
-    fn folder_of(&self, id: u32) -> PathBuf {
+    /// Where the views of a request are.
+    pub(super) fn folder_of(&self, id: u32) -> PathBuf {
         self.folder.join(format!("{id:04}"))
     }
 
@@ -148,8 +159,13 @@ mod tests {
         Entry {
             id: 0,
             title: "this view".into(),
+            request: serde_json::from_str(
+                r#"{"cameras": {"orbit": {"views": 1}}, "completion": "fill"}"#,
+            )
+            .unwrap(),
             completion: "fill".into(),
             views: views.iter().map(view).collect(),
+            video: false,
         }
     }
 
@@ -157,28 +173,30 @@ mod tests {
     fn entries_are_numbered_and_say_what_is_there() {
         let scene = tempfile::tempdir().unwrap();
         let gallery = Gallery::of(scene.path());
+        let lock = WriteLock::acquire(scene.path()).unwrap();
         assert!(gallery.entries().is_empty());
-        let (first, folder) = gallery.add(entry(&["a", "b"])).unwrap();
-        fs::write(folder.join("b.png"), "").unwrap();
-        assert_eq!(gallery.add(entry(&["c"])).unwrap().0, first + 1);
+        let first = gallery.add(entry(&["a", "b"]), &lock).unwrap();
+        fs::write(gallery.folder_of(first).join("b.png"), "").unwrap();
+        assert_eq!(gallery.add(entry(&["c"]), &lock).unwrap(), first + 1);
         let entries = gallery.entries();
         let done: Vec<bool> = entries[0].views.iter().map(|view| view.done).collect();
         assert_eq!((entries.len(), done), (2, vec![false, true]));
         assert!(gallery.picture(first, "b", Picture::Completed).is_some());
         assert!(gallery.picture(first, "b", Picture::Projection).is_none());
-        gallery.delete(first).unwrap();
-        assert!(gallery.delete(first).is_err());
+        gallery.delete(first, &lock).unwrap();
+        assert!(gallery.delete(first, &lock).is_err());
         assert_eq!(gallery.entries().len(), 1);
-        assert_eq!(gallery.add(entry(&["d"])).unwrap().0, first + 2);
+        assert_eq!(gallery.add(entry(&["d"]), &lock).unwrap(), first + 2);
     }
 
     #[test]
     fn no_view_leads_out_of_the_gallery() {
         let scene = tempfile::tempdir().unwrap();
+        let lock = WriteLock::acquire(scene.path()).unwrap();
         fs::write(scene.path().join("secret.png"), "").unwrap();
         let gallery = Gallery::of(scene.path());
-        let (id, _) = gallery
-            .add(entry(&["../../secret", "/secret", ""]))
+        let id = gallery
+            .add(entry(&["../../secret", "/secret", ""]), &lock)
             .unwrap();
         assert!(gallery.entry(id).unwrap().views.is_empty());
         let found = gallery.picture(id, "../../secret", Picture::Completed);

@@ -26,11 +26,15 @@ struct Answer {
 
 impl Server {
     fn start(place: &Place, arguments: &str) -> Self {
+        // Programs of the place come before those of the system.
+        let system = std::env::var("PATH").unwrap_or_default();
+        let programs = format!("{}:{system}", place.path("bin").display());
         let mut process = Command::new(PROGRAM)
             .args(["view", "scene", "--port", "0"])
             .args(arguments.split_whitespace())
             .current_dir(place.folder())
             .env_remove("RUST_LOG")
+            .env("PATH", programs)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
@@ -188,6 +192,14 @@ fn the_page_and_the_cloud_are_served() {
     assert_eq!(ids, server.ids());
     let photo = server.get(&format!("/api/photos/{version}/0"));
     assert!(photo.body.starts_with(&[0xff, 0xd8]), "a JPEG");
+    place.run("export scene -o scene.ply");
+    let exported = server.get("/api/export/ply");
+    assert!(exported.head.contains("attachment; filename=\"scene.ply\""));
+    assert!(exported.body == std::fs::read(place.path("scene.ply")).unwrap());
+    for (format, begin) in [("glb", &b"glTF"[..]), ("cameras", b"{")] {
+        let exported = server.get(&format!("/api/export/{format}"));
+        assert!(exported.body.starts_with(begin), "{format}");
+    }
     let labels = server.get(&format!("/api/labels/{version}/0"));
     let lens = &scene["photos"][0]["camera"]["intrinsics"];
     let pixels = lens["width"].as_u64().unwrap() * lens["height"].as_u64().unwrap();
@@ -382,6 +394,7 @@ fn hostile_requests_are_refused() {
         &format!("/api/cloud/{version}/-1"),
         &format!("/api/photos/{version}/99"),
         &format!("/api/labels/{version}/..%2f..%2fscene.json"),
+        "/api/export/..%2fscene.json",
         "/api/gallery/1/view/completed",
         "/api/gallery/..%2f/scene/completed",
         "/api/gallery/0001/..%2f..%2fcontact_sheet/completed",
@@ -493,6 +506,12 @@ fn views_are_rendered_one_job_after_the_other() {
     let cancel = server.send(&format!("/api/jobs/{long}/cancel"), &Value::Null);
     assert_eq!(cancel.status, 204);
     assert_eq!(server.ended(long)["state"], "cancelled");
+    let go_on = server.send(&format!("/api/gallery/{long}/continue"), &Value::Null);
+    assert_eq!(id(go_on), long);
+    let twice = server.send(&format!("/api/gallery/{long}/continue"), &Value::Null);
+    twice.assert_refused(422, "under way");
+    server.send(&format!("/api/jobs/{long}/cancel"), &Value::Null);
+    assert_eq!(server.ended(long)["state"], "cancelled");
     let delete = server.ask("DELETE", &format!("/api/gallery/{long}"), &[json], "null");
     assert_eq!(delete.status, 204);
 
@@ -505,6 +524,49 @@ fn views_are_rendered_one_job_after_the_other() {
     let many = json!({"path": {"keys": [camera, camera], "between": 4_000_000_000_u32}});
     render(many, json!("fill")).assert_refused(422, "more than");
     render(json!({"photos": ["../x"]}), json!("fill")).assert_refused(422, "no photo");
+}
+
+/// A program that writes what it is asked into the last file that it is told.
+#[cfg(unix)]
+fn write_ffmpeg(place: &Place) {
+    use std::os::unix::fs::PermissionsExt;
+    let path = place.path("bin/ffmpeg");
+    std::fs::create_dir(place.path("bin")).unwrap();
+    let script = "#!/bin/sh\nfor last; do :; done\necho \"$@\" >\"$last\"\n";
+    std::fs::write(&path, script).unwrap();
+    std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
+}
+
+#[cfg(unix)]
+#[test]
+fn numbered_views_become_a_video() {
+    let place = Place::with_scene();
+    write_ffmpeg(&place);
+    let server = Server::start(&place, "");
+    let orbit = json!({"cameras": {"orbit": {"views": 2}}, "completion": "none", "width": 32});
+    let id = server.send("/api/jobs", &orbit).json()["id"]
+        .as_u64()
+        .unwrap();
+    assert_eq!(server.ended(id)["state"], "done");
+    assert_eq!(server.get("/api/gallery").json()[0]["video"], true);
+    let video = server.get(&format!("/api/gallery/{id}/video"));
+    let told = String::from_utf8(video.body).unwrap();
+    assert!(told.contains("-i orbit_%04d.png"), "{told}");
+    assert!(
+        !place
+            .files("scene")
+            .keys()
+            .any(|name| name.contains("unfinished"))
+    );
+    let view =
+        json!({"cameras": {"photos": [server.scene()["photos"][0]["name"]]}, "completion": "none"});
+    let id = server.send("/api/jobs", &view).json()["id"]
+        .as_u64()
+        .unwrap();
+    assert_eq!(server.ended(id)["state"], "done");
+    server
+        .get(&format!("/api/gallery/{id}/video"))
+        .assert_refused(404, "no such video");
 }
 
 #[cfg(unix)]

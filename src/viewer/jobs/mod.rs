@@ -1,6 +1,7 @@
 //! Work that takes long: one job at a time, on a thread of its own.
 
 pub(super) mod render;
+mod video;
 
 pub(super) use render::RenderRequest;
 
@@ -10,7 +11,11 @@ use serde::Serialize;
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, Mutex, mpsc},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
     thread::JoinHandle,
     time::{Duration, Instant},
 };
@@ -55,15 +60,23 @@ pub(super) struct Job {
     pub(super) problem: Option<String>,
     #[serde(skip)]
     started: Option<Instant>,
+    /// Of this attempt: it may be started again while an earlier one is still in the queue.
     #[serde(skip)]
-    wanted: bool,
+    wanted: Arc<AtomicBool>,
 }
 
 /// Jobs that wait, run, or have ended. Dropping it cancels them.
 pub(super) struct Queue {
     jobs: Arc<Jobs>,
-    sender: Option<mpsc::Sender<(u32, Work)>>,
+    sender: Option<mpsc::Sender<Waiting>>,
     worker: Option<JoinHandle<()>>,
+}
+
+/// Work that waits.
+struct Waiting {
+    id: u32,
+    wanted: Arc<AtomicBool>,
+    work: Work,
 }
 
 struct Jobs {
@@ -89,13 +102,9 @@ impl Queue {
             all: Mutex::default(),
             changed: Box::new(changed),
         });
-        let (sender, receiver) = mpsc::channel::<(u32, Work)>();
+        let (sender, receiver) = mpsc::channel();
         let of_worker = Arc::clone(&jobs);
-        let work = move || {
-            receiver
-                .iter()
-                .for_each(|(id, work)| of_worker.run(id, work));
-        };
+        let work = move || receiver.iter().for_each(|waiting| of_worker.run(waiting));
         let worker = std::thread::Builder::new().name("jobs".into()).spawn(work);
         let worker = worker.map_err(|error| {
             let problem = format!("the system gives no thread for jobs ({error})");
@@ -108,10 +117,10 @@ impl Queue {
         })
     }
 
-    /// Adds a job, called by its id: that of its place in the gallery.
+    /// Adds a job, called by its id: that of its place in the gallery. Takes the place of one that has ended.
     ///
     /// # Errors
-    /// When too many wait already.
+    /// When too many wait already, or the job of this id does or runs.
     pub(super) fn push(&self, id: u32, title: String, work: Work) -> Result<()> {
         let mut all = lock(&self.jobs.all);
         let waiting = all.values().filter(|job| job.state == State::Queued);
@@ -119,6 +128,11 @@ impl Queue {
             let problem = format!("{MOST_WAITING} renderings wait already");
             return Err(Error::request(problem, "cancel some, or wait"));
         }
+        if all.get(&id).is_some_and(|job| job.state.goes_on()) {
+            let problem = format!("rendering {id} is under way already");
+            return Err(Error::request(problem, "wait for it"));
+        }
+        let wanted = Arc::new(AtomicBool::new(true));
         let job = Job {
             id,
             title,
@@ -130,13 +144,13 @@ impl Queue {
             notes: Vec::new(),
             problem: None,
             started: None,
-            wanted: true,
+            wanted: Arc::clone(&wanted),
         };
         all.insert(id, job);
         drop(all);
         if let Some(sender) = &self.sender {
             // The worker ends with the queue only.
-            let _ = sender.send((id, work));
+            let _ = sender.send(Waiting { id, wanted, work });
         }
         (self.jobs.changed)();
         Ok(())
@@ -160,7 +174,7 @@ impl Queue {
     pub(super) fn cancel(&self, id: u32) -> Result<()> {
         let cancelled = self.jobs.with(id, |job| {
             let goes_on = job.state.goes_on();
-            job.wanted = false;
+            job.wanted.store(false, Ordering::Relaxed);
             if job.state == State::Queued {
                 job.state = State::Cancelled;
             }
@@ -213,20 +227,18 @@ impl Jobs {
         result
     }
 
-    fn run(&self, id: u32, work: Work) {
-        let begun = self.with(id, |job| {
-            if job.state == State::Queued {
-                job.state = State::Running;
-                job.started = Some(Instant::now());
-            }
-            job.state == State::Running
-        });
-        if begun != Some(true) {
+    fn run(&self, Waiting { id, wanted, work }: Waiting) {
+        if !wanted.load(Ordering::Relaxed) {
             return;
         }
+        self.with(id, |job| {
+            job.state = State::Running;
+            job.started = Some(Instant::now());
+        });
         let reporter = Reporter {
             jobs: self,
             id,
+            wanted: &wanted,
             told: Mutex::new(None),
         };
         // What a job leaves half done is in files with temporary names only.
@@ -253,6 +265,7 @@ impl Jobs {
 struct Reporter<'a> {
     jobs: &'a Jobs,
     id: u32,
+    wanted: &'a AtomicBool,
     /// When it was last said that something has changed.
     told: Mutex<Option<Instant>>,
 }
@@ -295,8 +308,7 @@ impl Progress for Reporter<'_> {
     }
 
     fn is_cancelled(&self) -> bool {
-        let all = lock(&self.jobs.all);
-        all.get(&self.id).is_none_or(|job| !job.wanted)
+        !self.wanted.load(Ordering::Relaxed)
     }
 }
 

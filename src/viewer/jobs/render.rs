@@ -5,7 +5,7 @@ use super::{
         gallery::{Entry, EntryView, Gallery},
         session::{Options, Session, Snapshot},
     },
-    Work,
+    Work, video,
 };
 use crate::{
     Error, Result,
@@ -16,14 +16,14 @@ use crate::{
         orbit,
         see3d::{Quality, See3d, See3dParams, See3dWeights},
     },
-    scene::Role,
+    scene::{Role, WriteLock},
 };
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
+use std::{path::PathBuf, sync::Arc};
 use tid3r_weights_convert::Places;
 
 /// Views to be rendered.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::viewer) struct RenderRequest {
     cameras: Cameras,
@@ -34,7 +34,7 @@ pub(in crate::viewer) struct RenderRequest {
 }
 
 /// From where.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Cameras {
     /// From where the page looks now.
@@ -53,7 +53,7 @@ enum Cameras {
 }
 
 /// What completes the views.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Completion {
     None,
@@ -133,35 +133,51 @@ impl RenderRequest {
         rendering(&*completer).estimate(&snapshot.shown, &named(&cameras))
     }
 
-    /// Puts the request into the gallery; its id, title, and the work that meets it, of the scene as it is now.
+    /// Puts the request into the gallery; its place there.
     ///
     /// # Errors
     /// When it cannot be met.
-    pub(in crate::viewer) fn prepare(
+    pub(in crate::viewer) fn keep(
         &self,
-        session: &Arc<Session>,
+        snapshot: &Snapshot,
         gallery: &Gallery,
         options: &Options,
-    ) -> Result<(u32, String, Work)> {
-        let snapshot = session.current();
-        let cameras = self.cameras(&snapshot)?;
-        let completer = self.completer(options)?;
-        let title = self.title(cameras.len());
+        lock: &WriteLock,
+    ) -> Result<u32> {
+        let cameras = self.cameras(snapshot)?;
+        let view = |camera: &NamedCamera| EntryView {
+            name: camera.name.clone(),
+            photo: camera.photo,
+            done: false,
+        };
         let entry = Entry {
             id: 0,
-            title: title.clone(),
-            completion: completer.title(),
-            views: (cameras.iter())
-                .map(|camera| EntryView {
-                    name: camera.name.clone(),
-                    photo: camera.photo,
-                    done: false,
-                })
-                .collect(),
+            title: self.title(cameras.len()),
+            request: self.clone(),
+            completion: self.completer(options)?.title(),
+            views: cameras.iter().map(view).collect(),
+            video: false,
         };
-        let (id, folder) = gallery.add(entry)?;
+        gallery.add(entry, lock)
+    }
+
+    /// The work that meets the request, of the scene as it is now. Views that are in the folder already, rendered
+    /// from the same, stay.
+    ///
+    /// # Errors
+    /// When it cannot be met.
+    pub(in crate::viewer) fn work(
+        &self,
+        session: &Arc<Session>,
+        folder: PathBuf,
+        options: &Options,
+    ) -> Result<Work> {
         let session = Arc::clone(session);
-        let work: Work = Box::new(move |progress| {
+        let snapshot = session.current();
+        let cameras = named(&self.cameras(&snapshot)?);
+        let completer = self.completer(options)?;
+        let series = self.series();
+        Ok(Box::new(move |progress| {
             let lock = session.write_lock()?;
             let target = Target {
                 folder: &folder,
@@ -169,10 +185,21 @@ impl RenderRequest {
                 force: false,
             };
             let rendering = rendering(&*completer);
-            rendering.write(&snapshot.shown, &named(&cameras), &target, &lock, progress)?;
+            rendering.write(&snapshot.shown, &cameras, &target, &lock, progress)?;
+            if let Some(name) = series.filter(|_| cameras.len() > 1) {
+                video::make(&folder, name, progress);
+            }
             Ok(())
-        });
-        Ok((id, title, work))
+        }))
+    }
+
+    /// What numbered views are called.
+    fn series(&self) -> Option<&'static str> {
+        match self.cameras {
+            Cameras::Path { .. } => Some("path"),
+            Cameras::Orbit { .. } => Some("orbit"),
+            Cameras::View(_) | Cameras::Photos(_) => None,
+        }
     }
 
     fn title(&self, views: usize) -> String {
@@ -210,7 +237,8 @@ impl RenderRequest {
             camera: *camera,
             photo: None,
         };
-        let numbered = |cameras: Vec<Camera>, what: &str| -> Vec<NamedCamera> {
+        let numbered = |cameras: Vec<Camera>| -> Vec<NamedCamera> {
+            let what = self.series().unwrap_or("view");
             let names = (1..).map(|k| format!("{what}_{k:04}"));
             names
                 .zip(&cameras)
@@ -223,7 +251,7 @@ impl RenderRequest {
                 .iter()
                 .map(|name| photo(snapshot, name))
                 .collect::<Result<_>>()?,
-            Cameras::Path { keys, between } => numbered(along(keys, *between)?, "path"),
+            Cameras::Path { keys, between } => numbered(along(keys, *between)?),
             Cameras::Orbit { views } => {
                 let count = views_at_most(*views as usize)?;
                 let first = snapshot.shown.frames.first().map(|frame| frame.camera);
@@ -232,7 +260,7 @@ impl RenderRequest {
                 })?;
                 let floor = &snapshot.scene.manifest().floor_to_world;
                 let around = orbit(&first, &snapshot.shown.middle(), floor, count);
-                numbered(around, "orbit")
+                numbered(around)
             }
         };
         if cameras.is_empty() {

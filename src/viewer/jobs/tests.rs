@@ -88,6 +88,8 @@ fn jobs_can_be_cancelled_before_and_while_they_run() {
     queue.cancel(1).unwrap();
     assert_eq!(ended(&queue, 1).state, State::Cancelled);
     assert!(queue.cancel(1).is_err() && queue.cancel(9).is_err());
+    queue.push(1, "again".into(), Box::new(|_| Ok(()))).unwrap();
+    assert_eq!(ended(&queue, 1).state, State::Done);
     queue.forget(1);
     assert_eq!(queue.all().len(), 1);
 }

@@ -69,9 +69,13 @@ export function fillObjects(placing, view) {
     scene.not_editable ?? "There is no object left. Undo brings back what was removed.");
   const partly = (state.isolated || state.hidden.size > 0) &&
     el("button", { class: "wide", onclick: showAll }, "Show everything");
+  const link = (/** @type {string} */ format, /** @type {string} */ text) =>
+    el("a", { class: "button", href: `/api/export/${format}`, download: "" }, text);
+  const exports = el("details", { class: "exports" }, el("summary", {}, "Export"),
+    el("div", { class: "actions" }, link("ply", "Points (PLY)"), link("glb", "Model (GLB)"), link("cameras", "Cameras")));
   const scrolled = find("#objects .list")?.scrollTop ?? 0;
   find("#objects").replaceChildren(card(placing, view) || el("p", { class: "quiet-note" },
-    "Click an object in the room or in this list. With Shift, several."), search, ...(nothing ? [nothing] : [list]), ...(partly ? [partly] : []));
+    "Click an object in the room or in this list. With Shift, several."), search, ...(nothing ? [nothing] : [list]), ...(partly ? [partly] : []), exports);
   list.scrollTop = scrolled;
 }
 

@@ -7,7 +7,7 @@ import { state } from "./store.js";
 
 /** @typedef {{id: number, title: string, state: string, task: string, done: number, total: number, seconds: number,
  *   notes: string[], problem?: string}} Job */
-/** @typedef {{id: number, title: string, completion: string, views: {name: string, photo?: number, done: boolean}[]}} Entry */
+/** @typedef {{id: number, title: string, completion: string, views: {name: string, photo?: number, done: boolean}[], video: boolean}} Entry */
 
 /** @type {Job[]} */
 let jobs = [];
@@ -176,15 +176,19 @@ const picture = (entry, name, kind) => `/api/gallery/${entry.id}/${encodeURIComp
 function drawGallery() {
   const place = find("#gallery");
   if (!place) return;
-  const filled = entries.filter((entry) => entry.views.some(({ done }) => done)).reverse();
+  const filled = entries.filter((entry) => !jobs.some((job) => job.id === entry.id && goesOn(job)) ||
+    entry.views.some(({ done }) => done)).reverse();
   place.replaceChildren(...(filled.length ? [el("h2", {}, "Gallery")] : []), ...filled.map((entry) => {
     const done = entry.views.filter((one) => one.done);
     const going = jobs.some((job) => job.id === entry.id && goesOn(job));
     const count = done.length < entry.views.length ? `${done.length} of ${entry.views.length}` : entry.views.length > 1 ? `${done.length}` : "";
+    const more = !going && done.length < entry.views.length;
     return el("figure", { class: "rendered", "data-entry": entry.id },
-      el("button", { class: "thumb", "aria-label": `Show ${entry.title}`, onclick: () => show(entry, done, 0) },
-        el("img", { src: picture(entry, done[done.length - 1].name, "completed"), alt: "", loading: "lazy" })),
+      el("button", { class: "thumb", "aria-label": `Show ${entry.title}`, disabled: done.length === 0, onclick: () => show(entry, done, 0) },
+        done.length > 0 && el("img", { src: picture(entry, done[done.length - 1].name, "completed"), alt: "", loading: "lazy" })),
       el("figcaption", {}, el("span", {}, entry.title, count && ` · ${count}`), el("small", {}, entry.completion),
+        entry.video && el("a", { class: "link", href: `/api/gallery/${entry.id}/video`, download: `${entry.title}.mp4` }, "Video"),
+        more && el("button", { class: "link", onclick: () => send(`/api/gallery/${entry.id}/continue`).catch(complain) }, "Continue"),
         el("button", { class: "tool", "aria-label": `Delete ${entry.title}`, title: "Delete", disabled: going, onclick: () => drop(entry) }, icon("bin"))));
   }));
 }

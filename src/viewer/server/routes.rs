@@ -4,7 +4,7 @@ use super::{
     super::{
         action::Action,
         description::Description,
-        gallery::Picture,
+        gallery::{Picture, VIDEO},
         jobs::{RenderRequest, render::choices},
         session::Snapshot,
     },
@@ -13,11 +13,15 @@ use super::{
     assets::asset,
     events,
 };
-use crate::{Error, scene::files::bytes_of};
+use crate::{
+    Error,
+    export::{ExportParams, Format},
+    scene::files::bytes_of,
+};
 use axum::{
     Router,
     extract::{Path, State},
-    http::StatusCode,
+    http::{StatusCode, header},
     response::IntoResponse,
     routing::{get, post},
 };
@@ -47,7 +51,10 @@ pub(super) fn routes(shared: Arc<Shared>) -> Router {
             "/api/events",
             get(async |State(shared): Common| events::listen(shared)),
         )
+        .route("/api/export/{format}", get(export))
         .route("/api/gallery", get(gallery))
+        .route("/api/gallery/{entry}/continue", post(go_on))
+        .route("/api/gallery/{entry}/video", get(video))
         .route("/api/gallery/{entry}", axum::routing::delete(delete))
         .route("/api/gallery/{entry}/{view}/{picture}", get(picture))
         .fallback(async || Failure::missing("such address"))
@@ -144,24 +151,69 @@ async fn render(State(shared): Common, Sent(request): Sent<RenderRequest>) -> An
         let Shared {
             session,
             gallery,
-            queue,
             options,
             ..
         } = &*shared;
-        let (id, title, work) = request.prepare(session, gallery, options)?;
-        if let Err(error) = queue.push(id, title, work) {
-            gallery.delete(id)?;
-            return Err(error.into());
-        }
-        json_of(&json!({ "id": id }))
+        let lock = session.write_lock()?;
+        let id = request.keep(&session.current(), gallery, options, &lock)?;
+        begin(&shared, id).inspect_err(|_| {
+            // What went wrong before counts.
+            let _ = gallery.delete(id, &lock);
+        })
     })
     .await
+}
+
+/// Goes on with a request of the gallery that has not come to its end.
+async fn go_on(State(shared): Common, Path(entry): Path<String>, _: Sent<()>) -> Answer {
+    let id = u32::try_from(number(&entry)?).map_err(|_| Failure::missing("such rendering"))?;
+    blocking(move || begin(&shared, id)).await
+}
+
+fn begin(shared: &Shared, id: u32) -> Answer {
+    let entry = shared.gallery.entry(id);
+    let entry = entry.ok_or_else(|| Failure::missing("such rendering"))?;
+    let folder = shared.gallery.folder_of(id);
+    let work = (entry.request).work(&shared.session, folder, &shared.options)?;
+    shared.queue.push(id, entry.title, work)?;
+    json_of(&json!({ "id": id }))
 }
 
 async fn cancel(State(shared): Common, Path(job): Path<String>, _: Sent<()>) -> Answer {
     let id = u32::try_from(number(&job)?).map_err(|_| Failure::missing("such job"))?;
     shared.queue.cancel(id)?;
     Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// The scene as a file for other programs, as `tid3r export` writes it.
+async fn export(State(shared): Common, Path(format): Path<String>) -> Answer {
+    blocking(move || {
+        let (format, name) = match &*format {
+            "ply" => (Format::Ply, "scene.ply"),
+            "glb" => (Format::Glb, "scene.glb"),
+            "cameras" => (Format::Cameras, "cameras.json"),
+            _ => return Err(Failure::missing("such format")),
+        };
+        let folder = tempfile::tempdir().map_err(Error::io("create", &std::env::temp_dir()))?;
+        let path = folder.path().join(name);
+        let params = ExportParams {
+            only: Vec::new(),
+            no_photos: false,
+            depth: false,
+            max_points: 0,
+        };
+        crate::export::export(&shared.session.refreshed()?.scene, format, &path, &params)?;
+        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        let headers = [
+            (header::CONTENT_TYPE, "application/octet-stream".to_string()),
+            (
+                header::CONTENT_DISPOSITION,
+                format!("attachment; filename=\"{name}\""),
+            ),
+        ];
+        Ok((headers, bytes).into_response())
+    })
+    .await
 }
 
 async fn gallery(State(shared): Common) -> Answer {
@@ -175,9 +227,23 @@ async fn delete(State(shared): Common, Path(entry): Path<String>, _: Sent<()>) -
             let problem = format!("rendering {id} has not ended");
             return Err(Error::request(problem, "cancel it first").into());
         }
-        shared.gallery.delete(id)?;
+        let lock = shared.session.write_lock()?;
+        shared.gallery.delete(id, &lock)?;
         shared.queue.forget(id);
         Ok(StatusCode::NO_CONTENT.into_response())
+    })
+    .await
+}
+
+async fn video(State(shared): Common, Path(entry): Path<String>) -> Answer {
+    blocking(move || {
+        let missing = || Failure::missing("such video");
+        let id = u32::try_from(number(&entry)?).map_err(|_| missing())?;
+        let entry = shared.gallery.entry(id).filter(|entry| entry.video);
+        entry.ok_or_else(missing)?;
+        let path = shared.gallery.folder_of(id).join(VIDEO);
+        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        Ok(([(header::CONTENT_TYPE, "video/mp4")], bytes).into_response())
     })
     .await
 }
