@@ -32,6 +32,11 @@ pub enum Error {
     /// Weights cannot be found, read or converted.
     #[error(transparent)]
     Weights(#[from] tid3r_weights_convert::Error),
+    /// The work was ended by whoever wanted it ([`Progress::is_cancelled`](crate::progress::Progress::is_cancelled)).
+    #[error(
+        "cancelled; what was finished is kept, and goes on from there when it is started again"
+    )]
+    Cancelled,
     /// A request that cannot be met, whatever the files hold.
     #[error("{problem}; {remedy}")]
     Request {

@@ -23,6 +23,7 @@ pub mod render;
 pub mod scene;
 pub mod segment;
 pub mod suite;
+pub mod viewer;
 mod weights;
 
 pub use error::{Error, Result};

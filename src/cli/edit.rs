@@ -6,7 +6,7 @@ use tid3r::{
     Error,
     edit::{self, ColourChange, EditList, Hex, InstanceList, Placement},
     parameters::{coordinate, coordinates, factor, not_negative},
-    scene::{Scene, WriteLock},
+    scene::{Role, Scene, WriteLock},
 };
 
 /// Remove, move, copy, recolour or restyle instances; undo and redo.
@@ -157,9 +157,8 @@ pub(super) fn add(
     let lock = WriteLock::acquire(scene.folder())?;
     let mut list = EditList::load(&scene)?;
     let edit = make(&scene, &list, &lock)?;
-    InstanceList::load(&scene, list.edits())?.check(&edit)?;
     let said = edit::describe(&edit);
-    list.push(edit)?;
+    list.push_checked(&scene, edit)?;
     keep(&scene, &list, &lock)?;
     output::line(said)
 }
@@ -180,8 +179,7 @@ fn change(
 
 /// Writes a changed list into its scene, and draws the overviews by it.
 pub(super) fn keep(scene: &Scene, list: &EditList, lock: &WriteLock) -> tid3r::Result<()> {
-    edit::write_overviews(scene, list.edits(), lock)?;
-    list.save(scene, lock)
+    edit::keep(scene, &scene.frames(Role::Input)?, list, lock).map(drop)
 }
 
 /// The ids of instances that a person calls by id or name.

@@ -17,6 +17,7 @@ mod run;
 mod segment;
 mod suite;
 pub(crate) mod terminal;
+mod view;
 mod weights;
 
 use anyhow::{Context, Result};
@@ -73,6 +74,7 @@ enum Verb {
     Segment(segment::Segment),
     Instances(instances::Instances),
     Edit(edit::Edit),
+    View(view::View),
     Render(render::Render),
     Export(export::Export),
     Evaluate(evaluate::Evaluate),
@@ -101,6 +103,7 @@ impl Cli {
             Verb::Segment(verb) => verb.run(&terminal),
             Verb::Instances(verb) => verb.run(),
             Verb::Edit(verb) => verb.run(),
+            Verb::View(verb) => verb.run(&terminal),
             Verb::Render(verb) => verb.run(&terminal),
             Verb::Export(verb) => verb.run(),
             Verb::Evaluate(verb) => verb.run(&terminal),

@@ -7,7 +7,7 @@ use std::{
 };
 use tid3r::{
     Error,
-    geometry::{Camera, Point},
+    geometry::Camera,
     progress::Progress,
     render::{
         Completer, EditedScene, ReferenceParams, Rendering, SplatParams, Target, Written, between,
@@ -209,7 +209,7 @@ impl Cameras {
         if self.orbit {
             let first = inputs.first().ok_or_else(|| no_photos(scene))?;
             let floor = &scene.manifest().floor_to_world;
-            let around = orbit(&first.camera, &middle(edited), floor, self.views.into());
+            let around = orbit(&first.camera, &edited.middle(), floor, self.views.into());
             let named = around.into_iter().enumerate();
             cameras.extend(named.map(|(k, camera)| (format!("orbit_{k:04}"), camera)));
         }
@@ -256,14 +256,4 @@ impl Cameras {
 
 fn no_photos(scene: &Scene) -> Error {
     Error::file(scene.folder(), "has no photos", "import it again")
-}
-
-/// The middle of the cloud, but for stray points.
-fn middle(edited: &EditedScene) -> Point {
-    let cloud = &edited.edited.cloud;
-    Point::from(std::array::from_fn::<f64, 3, _>(|axis| {
-        let mut values: Vec<f32> = cloud.positions.iter().map(|p| p[axis]).collect();
-        values.sort_unstable_by(f32::total_cmp);
-        values.get(values.len() / 2).copied().map_or(0.0, f64::from)
-    }))
 }

@@ -1,4 +1,4 @@
-use super::Edit;
+use super::{Edit, InstanceList};
 use crate::{
     Error, Result,
     scene::{Scene, Stage, WriteLock, files},
@@ -102,6 +102,15 @@ impl EditList {
         self.edits.push(edit);
         self.undone.clear();
         Ok(())
+    }
+
+    /// One more edit, of instances that there are in `scene`.
+    ///
+    /// # Errors
+    /// As [`EditList::push`] and [`InstanceList::check`]; when the scene has not been segmented.
+    pub fn push_checked(&mut self, scene: &Scene, edit: Edit) -> Result<()> {
+        InstanceList::load(scene, &self.edits)?.check(&edit)?;
+        self.push(edit)
     }
 
     /// Makes `wanted` the first of the edits, adding those that are not made yet; says whether there

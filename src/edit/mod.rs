@@ -19,7 +19,9 @@ pub use motions::Motions;
 pub use placement::Placement;
 pub(crate) use placement::floor_box;
 pub use split::{MOST_CLUSTERS, SplitBy};
-pub use stage::{SplitRequest, edited, instances, restyle, split, write_overviews};
+pub use stage::{
+    SplitRequest, edited, instances, instances_of, keep, restyle, split, write_overviews,
+};
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,6 @@
-use super::{Edit, Edited, InstanceList, SplitBy, apply::Work, floor_box, split::usual_gap};
+use super::{
+    Edit, EditList, Edited, InstanceList, SplitBy, apply::Work, floor_box, split::usual_gap,
+};
 use crate::{
     Error, Result,
     geometry::Camera,
@@ -91,20 +93,43 @@ pub fn restyle(scene: &Scene, folder: &Path, _lock: &WriteLock) -> Result<Edit> 
 ///
 /// # Errors
 /// When the scene has not been segmented, or a file cannot be read or written.
-pub fn write_overviews(scene: &Scene, edits: &[Edit], _lock: &WriteLock) -> Result<()> {
+pub fn write_overviews(scene: &Scene, edits: &[Edit], lock: &WriteLock) -> Result<()> {
     let frames = scene.frames(Role::Input)?;
+    let edited = edited(scene, &frames, edits)?;
+    draw_overviews(scene, &frames, edits, &edited, lock)
+}
+
+/// Writes a changed list of edits into its scene, after the overviews that it leads to, and gives what the
+/// edits make of the scene. `frames` are its input frames.
+///
+/// # Errors
+/// When the scene has not been segmented, or a file cannot be read or written.
+pub fn keep(scene: &Scene, frames: &[Frame], list: &EditList, lock: &WriteLock) -> Result<Edited> {
+    let edited = edited(scene, frames, list.edits())?;
+    draw_overviews(scene, frames, list.edits(), &edited, lock)?;
+    list.save(scene, lock)?;
+    Ok(edited)
+}
+
+fn draw_overviews(
+    scene: &Scene,
+    frames: &[Frame],
+    edits: &[Edit],
+    edited: &Edited,
+    _lock: &WriteLock,
+) -> Result<()> {
     let Edited {
         cloud,
         photos,
         instances,
         ..
-    } = edited(scene, &frames, edits)?;
+    } = edited;
     let names = InstanceList::load(scene, edits)?.names;
     let floor = &scene.manifest().floor_to_world;
     let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-    let plan = render::top_down(&cloud, &cameras, floor);
+    let plan = render::top_down(cloud, &cameras, floor);
     files::write_png(&scene.folder().join("top_down.png"), &plan)?;
-    let sheet = render::contact_sheet(&photos, &instances, &names);
+    let sheet = render::contact_sheet(photos, instances, &names);
     files::write_png(&scene.folder().join("contact_sheet.png"), &sheet)
 }
 
@@ -114,12 +139,24 @@ pub fn write_overviews(scene: &Scene, edits: &[Edit], _lock: &WriteLock) -> Resu
 /// # Errors
 /// When the scene has not been segmented or a file is damaged.
 pub fn instances(scene: &Scene, edits: &[Edit]) -> Result<Vec<InstanceRecord>> {
+    let edited = edited(scene, &scene.frames(Role::Input)?, edits)?;
+    instances_of(scene, edits, &edited)
+}
+
+/// The same for a scene whose edits have been applied.
+///
+/// # Errors
+/// When the scene has not been segmented or a file is damaged.
+pub fn instances_of(scene: &Scene, edits: &[Edit], edited: &Edited) -> Result<Vec<InstanceRecord>> {
     let list = InstanceList::load(scene, edits)?;
-    let Edited { cloud, .. } = edited(scene, &scene.frames(Role::Input)?, edits)?;
     let manifest = scene.manifest();
     let score = |id| list.score(id);
-    let mut records =
-        InstanceRecord::all(&cloud, score, &manifest.frames, &manifest.floor_to_world);
+    let mut records = InstanceRecord::all(
+        &edited.cloud,
+        score,
+        &manifest.frames,
+        &manifest.floor_to_world,
+    );
     records.retain_mut(|record| {
         let name = list.names.get(&record.id);
         record.name = name.cloned().unwrap_or_default();
@@ -184,6 +221,7 @@ fn in_one_part(work: &Work, instance: u32, by: &SplitBy, scene: &Scene) -> Error
         SplitBy::Clusters { .. } => "give fewer clusters",
         SplitBy::Above { .. } => "give another height",
         SplitBy::Box { .. } => "give another box",
+        SplitBy::Outline { .. } => "draw another outline",
     };
     let problem = format!("instance {instance} stays in one part when split {by}");
     Error::request(problem, format!("{place}: {remedy}"))

@@ -70,6 +70,14 @@ pub trait Completion {
         Value::Null
     }
 
+    /// What taking all steps needs, in words; `None` if that cannot be told.
+    ///
+    /// # Errors
+    /// When the machine cannot take them.
+    fn estimate(&self) -> Result<Option<String>> {
+        Ok(None)
+    }
+
     /// Told which steps will be taken before the first of them is.
     ///
     /// # Errors
@@ -80,15 +88,15 @@ pub trait Completion {
     }
 
     /// Takes a step: one result for each of its views. `kept` has what earlier steps keep; `done` is told
-    /// which share of the step is done.
+    /// which share of the step is done; an error that it gives ends the step.
     ///
     /// # Errors
-    /// When a picture cannot be made.
+    /// When a picture cannot be made; those of `done`.
     fn take(
         &mut self,
         step: usize,
         kept: &dyn Kept,
-        done: &mut dyn FnMut(f64),
+        done: &mut dyn FnMut(f64) -> Result<()>,
     ) -> Result<Vec<Completed>>;
 }
 
@@ -172,7 +180,7 @@ impl<F: Fn(&Projection, &[Reference]) -> RgbImage> Completion for OneByOne<'_, F
         &mut self,
         step: usize,
         _: &dyn Kept,
-        _: &mut dyn FnMut(f64),
+        _: &mut dyn FnMut(f64) -> Result<()>,
     ) -> Result<Vec<Completed>> {
         let complete = |&view: &usize| {
             let projection = self.views.projection(view);

@@ -5,7 +5,7 @@ use super::{
 use crate::{
     Error, Result,
     edit::{EditList, Edited, edited},
-    geometry::Camera,
+    geometry::{Camera, Point},
     photos,
     progress::Progress,
     scene::{Cloud, Frame, Hasher, Role, Scene, Stage, WriteLock, files},
@@ -53,6 +53,16 @@ impl EditedScene {
         };
         let edited = Edited::nothing(&frames, Cloud::from_frames(&frames, &validity, None));
         Ok(Self { frames, edited })
+    }
+
+    /// The middle of the cloud, but for stray points.
+    pub fn middle(&self) -> Point {
+        let cloud = &self.edited.cloud;
+        Point::from(std::array::from_fn::<f64, 3, _>(|axis| {
+            let mut values: Vec<f32> = cloud.positions.iter().map(|p| p[axis]).collect();
+            values.sort_unstable_by(f32::total_cmp);
+            values.get(values.len() / 2).copied().map_or(0.0, f64::from)
+        }))
     }
 }
 
@@ -204,6 +214,20 @@ impl Rendering<'_> {
         Ok(memory.views.into_values().collect())
     }
 
+    /// What rendering these views will take, in words, if the completer can tell.
+    ///
+    /// # Errors
+    /// When the completer cannot complete them.
+    pub fn estimate(
+        &self,
+        scene: &EditedScene,
+        cameras: &[(String, Camera)],
+    ) -> Result<Option<String>> {
+        let references = self.references(scene);
+        let views = self.of_scene(scene, cameras, &references);
+        self.completer.begin(&views, None)?.estimate()
+    }
+
     /// Renders views into the folder ([`View::write`]), with the masked photos under references/ once
     /// something has been removed or moved. Those that are there already, rendered from the same, are
     /// left alone. The views of each step are on disk before the next one begins: a rendering that was
@@ -338,15 +362,20 @@ fn take(
         let step = completion.steps()[number].clone();
         let mut reached = 0;
         let mut reach = |share: f64| {
+            if progress.is_cancelled() {
+                return Err(Error::Cancelled);
+            }
             let now = ((share * step.work as f64) as usize).min(step.work);
             if now > reached {
                 progress.advance(now - reached);
                 reached = now;
             }
+            Ok(())
         };
+        reach(0.0)?;
         let results = completion.take(number, store, &mut reach)?;
         store.keep(number, &step, results)?;
-        reach(1.0);
+        progress.advance(step.work - reached);
     }
     progress.end();
     Ok(())

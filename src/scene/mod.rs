@@ -18,6 +18,7 @@
 //! edited.ply                      the edited cloud, if `tid3r run` made it
 //! contact_sheet.png, top_down.png every instance with its id
 //! views/                          rendered pictures
+//! gallery/NUMBER/                 pictures rendered from the page of `tid3r view`
 //! timings.json                    how long each stage took (nothing else in the folder depends on the clock)
 //! ```
 //!

@@ -28,6 +28,7 @@ mod segment;
 mod stages;
 mod usage;
 mod video;
+mod view;
 mod weights;
 mod zipped;
 

@@ -1,7 +1,7 @@
 mod clusters;
 mod components;
 
-use crate::geometry::{Point, Pose};
+use crate::geometry::{Camera, Point, Pose};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -36,7 +36,17 @@ pub enum SplitBy {
         /// Highest x, y and z.
         high: [f64; 3],
     },
+    /// By an outline drawn in a picture: what is seen within it becomes a new instance.
+    Outline {
+        /// The picture's camera, in the scene frame.
+        camera: Camera,
+        /// Corners, pixels; the last is joined to the first.
+        corners: Vec<[f64; 2]>,
+    },
 }
+
+/// No outline has more corners than this.
+const MOST_CORNERS: usize = 1000;
 
 /// No instance is split into more clusters than this at once.
 pub const MOST_CLUSTERS: u32 = 64;
@@ -74,6 +84,11 @@ impl SplitBy {
             Self::Box { low, high } => {
                 inside(&|point| (0..3).all(|k| (low[k]..=high[k]).contains(&point[k])))
             }
+            Self::Outline { camera, corners } => {
+                let seen = |point| camera.project(point).map(|(at, _)| at);
+                let is_within = |point| seen(point).is_some_and(|at| surrounds(corners, at));
+                points.iter().map(|p| usize::from(is_within(p))).collect()
+            }
         }
     }
 
@@ -90,6 +105,11 @@ impl SplitBy {
             Self::Box { low, high } => {
                 low.iter().chain(high).all(within) && low.iter().zip(high).all(|(l, h)| l < h)
             }
+            Self::Outline { camera, corners } => {
+                camera.intrinsics.is_possible()
+                    && (3..=MOST_CORNERS).contains(&corners.len())
+                    && corners.iter().flatten().all(within)
+            }
         };
         let problem = || format!("an instance cannot be split {self}");
         possible.then_some(()).ok_or_else(problem)
@@ -103,8 +123,21 @@ impl fmt::Display for SplitBy {
             Self::Clusters { count } => write!(f, "into {count} clusters"),
             Self::Above { height } => write!(f, "above {height}"),
             Self::Box { low, high } => write!(f, "by the box from {low:?} to {high:?}"),
+            Self::Outline { corners, .. } => {
+                write!(f, "by an outline with {} corners", corners.len())
+            }
         }
     }
+}
+
+/// Whether a point is within a closed outline: whether a ray from it crosses the outline an odd number of
+/// times.
+fn surrounds(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
+    let next = corners.iter().cycle().skip(1);
+    let crossings = corners.iter().zip(next).filter(|([ax, ay], [bx, by])| {
+        (*ay > y) != (*by > y) && x < ax + (y - ay) / (by - ay) * (bx - ax)
+    });
+    crossings.count() % 2 == 1
 }
 
 /// Numbers groups anew: 0 is the largest; of equals, the one that a point is in first.
@@ -181,6 +214,38 @@ mod tests {
         ] {
             assert!(impossible.check().is_err(), "{impossible}");
         }
+    }
+
+    #[test]
+    fn an_outline_splits_off_what_is_seen_within() {
+        let camera = crate::scene::test_frames::camera_at(0.0);
+        let [x, y] = [camera.intrinsics.cx, camera.intrinsics.cy];
+        // An arrowhead that points right: its notch is outside.
+        let corners = vec![
+            [x - 4.0, y - 4.0],
+            [x + 4.0, y],
+            [x - 4.0, y + 4.0],
+            [x - 1.0, y],
+        ];
+        let by = SplitBy::Outline {
+            camera,
+            corners: corners.clone(),
+        };
+        assert_eq!(by.check(), Ok(()));
+        let at = |du: f64, depth| camera.unproject(x + du, y + 0.25, depth);
+        let points = [
+            at(1.0, 2.0),
+            at(1.0, 9.0),
+            at(-2.5, 2.0),
+            at(6.0, 2.0),
+            at(1.0, -2.0),
+        ];
+        assert_eq!(by.parts(&points, &Pose::identity()), [1, 1, 0, 0, 0]);
+
+        let with = |corners| SplitBy::Outline { camera, corners };
+        assert!(with(corners[..2].to_vec()).check().is_err());
+        assert!(with(vec![[f64::NAN, 0.0]; 3]).check().is_err());
+        assert!(with(vec![[0.0, 0.0]; MOST_CORNERS + 1]).check().is_err());
     }
 
     #[test]

@@ -319,6 +319,11 @@ impl Completion for Run<'_> {
         json!(self.plan)
     }
 
+    fn estimate(&self) -> Result<Option<String>> {
+        let parts: Vec<&Part> = self.parts.iter().collect();
+        Ok(Some(self.job().estimate(&self.plan, &parts)?))
+    }
+
     fn prepare(&mut self, steps: &[usize], progress: &dyn Progress) -> Result<()> {
         let job = self.job();
         if self.is_taken_up {
@@ -340,7 +345,7 @@ impl Completion for Run<'_> {
         &mut self,
         step: usize,
         kept: &dyn Kept,
-        done: &mut dyn FnMut(f64),
+        done: &mut dyn FnMut(f64) -> Result<()>,
     ) -> Result<Vec<Completed>> {
         let part = self.parts[step].clone();
         let (frames, projections) = self.frames(&part, kept)?;
@@ -348,8 +353,13 @@ impl Completion for Run<'_> {
             total: self.work[step],
             reached: 0.0,
             done,
+            stop: None,
         };
-        let pictures = self.complete(&part, &frames, &mut watch)?;
+        let pictures = self.complete(&part, &frames, &mut watch);
+        if let Some(stop) = watch.stop {
+            return Err(stop);
+        }
+        let pictures = pictures?;
         let details = self.details(&part)?;
         let Step {
             finishes,
@@ -430,13 +440,27 @@ struct Watch<'a> {
     /// Multiply-adds.
     total: f64,
     reached: f64,
-    done: &'a mut dyn FnMut(f64),
+    done: &'a mut dyn FnMut(f64) -> Result<()>,
+    /// Why it is to end early.
+    stop: Option<Error>,
 }
 
 impl Observer for Watch<'_> {
+    fn stage(
+        &mut self,
+        _: &str,
+        _: &dyn Fn() -> candle_core::Result<Tensor>,
+    ) -> candle_core::Result<()> {
+        match self.stop {
+            Some(_) => Err(candle_core::Error::Msg("stopped".into())),
+            None => Ok(()),
+        }
+    }
+
     fn advance(&mut self, multiply_adds: f64) {
         self.reached += multiply_adds;
-        (self.done)((self.reached / self.total).min(1.0));
+        let told = (self.done)((self.reached / self.total).min(1.0));
+        self.stop = self.stop.take().or(told.err());
     }
 }
 

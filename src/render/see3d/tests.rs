@@ -5,9 +5,9 @@ use super::{
     *,
 };
 use crate::{
-    Map,
+    Error, Map,
     edit::{Edited, Motions},
-    progress::Silent,
+    progress::{Progress, Silent},
     render::{EditedScene, ReferenceParams, Rendering, SplatParams, Story, View},
     scene::{
         Cloud,
@@ -213,6 +213,41 @@ fn rendered_by(see3d: &See3d, views: usize) -> Vec<(View, Story)> {
     let cameras = (0..views).map(|k| (format!("view_{k}"), camera_at(0.1 * k as f64)));
     let cameras: Vec<_> = cameras.collect();
     rendering.views(&scene(), &cameras, &Silent).unwrap()
+}
+
+/// Wants a rendering no more once it is told of some progress for so many times.
+struct Impatient(std::sync::atomic::AtomicUsize);
+
+impl Progress for Impatient {
+    fn begin(&self, _: &str, _: usize) {}
+    fn advance(&self, _: usize) {
+        let relaxed = std::sync::atomic::Ordering::Relaxed;
+        let _ = (self.0).fetch_update(relaxed, relaxed, |left| left.checked_sub(1));
+    }
+    fn end(&self) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.load(std::sync::atomic::Ordering::Relaxed) == 0
+    }
+}
+
+#[test]
+fn a_step_can_be_cancelled_while_it_is_taken() {
+    let params = See3dParams::default();
+    let see3d = See3d::new(weights(&params), &params);
+    let rendering = Rendering {
+        completer: &see3d,
+        splats: SplatParams::default(),
+        references: ReferenceParams::default(),
+    };
+    let cameras = [("view".to_string(), camera_at(0.1))];
+    // Encoders of text and photos tell of three steps, the networks of many more.
+    for patience in [0, 3, 6] {
+        let progress = Impatient(patience.into());
+        let result = rendering.views(&scene(), &cameras, &progress);
+        assert!(matches!(result, Err(Error::Cancelled)), "{patience}");
+    }
+    let estimate = rendering.estimate(&scene(), &cameras).unwrap().unwrap();
+    assert!(estimate.contains("view"), "{estimate}");
 }
 
 #[test]

@@ -1,0 +1,19 @@
+//! The room in a browser: a local server, and the page that it serves.
+//!
+//! - `points`: the cloud as bytes for the graphics card
+//! - `session`: the scene that is open, as its edits left it; every change goes through [`crate::edit`]
+//! - `action`: what the page asks to be changed
+//! - `jobs`: renderings, one at a time, on a thread of their own; `gallery`: what came of them
+//! - `server`: HTTP, and who may speak to it; all that is asynchronous is in there
+//! - `page/`: HTML, CSS and JavaScript modules, which are part of the binary
+
+mod action;
+mod description;
+mod gallery;
+mod jobs;
+mod points;
+mod server;
+mod session;
+
+pub use server::{Address, serve};
+pub use session::Options;

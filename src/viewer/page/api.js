@@ -1,0 +1,35 @@
+// The server.
+
+/** What the server said it could not do. */
+export class Refusal extends Error {
+  /** @param {number} status @param {string} problem @param {string} remedy */
+  constructor(status, problem, remedy) {
+    super(`${problem}; ${remedy}`);
+    Object.assign(this, { status, problem, remedy });
+  }
+}
+
+/** @param {string} path @param {RequestInit} [options] */
+async function ask(path, options) {
+  let response;
+  try {
+    response = await fetch(path, options);
+  } catch (error) {
+    if (/** @type {any} */ (error).name === "AbortError") throw error;
+    throw new Refusal(0, "the server cannot be reached", "see whether `tid3r view` still runs");
+  }
+  if (response.ok) return response;
+  const { problem, remedy } = await response.json().catch(() => ({}));
+  throw new Refusal(response.status, problem ?? response.statusText, remedy ?? "reload the page");
+}
+
+/** @param {string} path */
+export const get = async (path) => (await ask(path)).json();
+/** @param {string} path @param {AbortSignal} [signal] */
+export const getBytes = async (path, signal) => (await ask(path, { signal })).arrayBuffer();
+/** @param {string} path @param {unknown} content @param {string} [method] */
+export async function send(path, content = null, method = "POST") {
+  const headers = { "Content-Type": "application/json" };
+  const response = await ask(path, { method, headers, body: JSON.stringify(content) });
+  return response.status === 204 ? null : response.json();
+}
