@@ -64,7 +64,7 @@ impl Run {
         let of_photos = |entry: &SceneEntry, folder: &Path, _: &dyn Progress| {
             let photos = self.reconstruct.of(entry.photos.clone());
             let folder = folder.join("scene");
-            let report = self.run_one(photos, &folder, places, completer, terminal)?;
+            let report = self.run_one(&photos, &folder, places, completer, terminal)?;
             Ok(report.as_result(&entry.name))
         };
         let results = suite.run(&scenes, &of_photos, terminal)?;

@@ -202,7 +202,7 @@ impl Run {
         if let Some(list) = &this.many.manifest {
             return this.run_list(list, &places, &*completer, terminal);
         }
-        let photos = this.reconstruct.clone();
+        let photos = &this.reconstruct;
         let report = this.run_one(photos, &this.output, &places, &*completer, terminal)?;
         if this.json {
             return output::json(&report);
@@ -212,7 +212,7 @@ impl Run {
 
     fn run_one(
         &self,
-        photos: reconstruct::Options,
+        photos: &reconstruct::Options,
         folder: &Path,
         places: &Places,
         completer: &dyn Completer,
