@@ -4,7 +4,7 @@ use clap::{Args, builder::PossibleValuesParser};
 use std::path::{Path, PathBuf};
 use tid3r::{
     parameters,
-    photos::{Photo, photos_from_paths},
+    photos::{Photo, PhotoSources, VideoParams},
     progress::Progress,
     reconstruct::{MvDust3rParams, MvDust3rReconstructor, NewScene, PlacedPhoto, Placement},
     scene::{Scale, Scene, Stage, WriteLock},
@@ -20,7 +20,10 @@ use tid3r_weights_convert::{Found, Network, Places};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     tid3r reconstruct photos/ -o room\n  \
-    tid3r reconstruct *.jpg -o room --focal exif --network mvdust3r\n\n\
+    tid3r reconstruct *.jpg -o room --focal exif --network mvdust3r\n  \
+    tid3r reconstruct walk.mp4 -o room --video-frames 20\n\n\
+    Videos are read by FFmpeg, which has to be installed. What is in videos and ZIP files is written to \
+    SCENE/photos.\n\n\
     Weights are found as `tid3r weights list` says.")]
 pub(super) struct Reconstruct {
     #[command(flatten)]
@@ -46,9 +49,11 @@ pub(super) struct Reconstruct {
 // `run` takes several structs of this name, and groups are called like structs.
 #[group(skip)]
 pub(super) struct Options {
-    /// The photos, or folders of photos: 10 to 20 of one room, overlapping
+    /// The photos: files, folders or ZIP files of photos, and videos; 10 to 20 of one room, overlapping
     #[arg(value_name = "PHOTOS", required = true)]
     photos: Vec<PathBuf>,
+    #[command(flatten)]
+    videos: VideoParams,
     /// The network [default: mvdust3r-plus, or mvdust3r if only its weights are here]
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(NETWORKS))]
     network: Option<String>,
@@ -108,43 +113,72 @@ impl Options {
 
     /// Makes the scene in the folder `output`, or finds it in place.
     pub(super) fn reconstruct(
-        self,
+        &self,
         weights: Found,
         output: &Path,
         force: bool,
         progress: &dyn Progress,
     ) -> Result<(Scene, WriteLock)> {
-        let (photos, warnings) = photos_from_paths(&self.photos)?;
-        for warning in warnings {
+        let sources = PhotoSources::find(&self.photos)?;
+        for warning in &sources.warnings {
             tracing::warn!("{warning}");
         }
-        self.reconstruct_photos(photos, weights, output, force, progress)
+        let reconstructor = self.reconstructor(weights)?;
+        let lock = WriteLock::acquire(output)?;
+        let parameters = serde_json::json!({
+            "photos": sources.description(&self.videos),
+            "reconstructor": reconstructor.description(),
+        });
+        if let Some(scene) = NewScene::in_place(output, &parameters, force)? {
+            return Ok((scene, lock));
+        }
+        // A scene's own photos are found whatever folder later commands are run in.
+        let folder = std::path::absolute(Scene::photos_folder(output))?;
+        let photos = sources.photos(&folder, &self.videos, progress)?;
+        let scene = new_scene(&reconstructor, &photos, parameters);
+        let scene = scene.create(output, force, &lock, progress)?;
+        Ok((scene, lock))
     }
 
     /// The same of these photos.
     pub(super) fn reconstruct_photos(
-        self,
-        photos: Vec<Photo>,
+        &self,
+        photos: &[Photo],
         weights: Found,
         output: &Path,
         force: bool,
         progress: &dyn Progress,
     ) -> Result<(Scene, WriteLock)> {
-        let reconstructor = MvDust3rReconstructor::new(weights, self.params, self.max_memory)?;
+        let reconstructor = self.reconstructor(weights)?;
         let lock = WriteLock::acquire(output)?;
         let paths: Vec<_> = photos.iter().map(|photo| &photo.path).collect();
-        let scene = NewScene {
-            inputs: &photos,
-            held_out: &[],
-            scale: Scale::Relative,
-            parameters: serde_json::json!({
-                "photos": paths,
-                "reconstructor": reconstructor.description(),
-            }),
-            reconstructor: &reconstructor,
-        }
-        .create(output, force, &lock, progress)?;
+        let parameters = serde_json::json!({
+            "photos": paths,
+            "reconstructor": reconstructor.description(),
+        });
+        let scene = new_scene(&reconstructor, photos, parameters);
+        let scene = scene.create(output, force, &lock, progress)?;
         Ok((scene, lock))
+    }
+
+    fn reconstructor(&self, weights: Found) -> Result<MvDust3rReconstructor> {
+        let params = self.params.clone();
+        let reconstructor = MvDust3rReconstructor::new(weights, params, self.max_memory)?;
+        Ok(reconstructor)
+    }
+}
+
+fn new_scene<'a>(
+    reconstructor: &'a MvDust3rReconstructor,
+    photos: &'a [Photo],
+    parameters: serde_json::Value,
+) -> NewScene<'a> {
+    NewScene {
+        inputs: photos,
+        held_out: &[],
+        scale: Scale::Relative,
+        parameters,
+        reconstructor,
     }
 }
 

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use tid3r::{
     Error,
     edit::{self, EditList},
-    photos::photos_from_paths,
+    photos::{PhotoSources, VideoParams},
     progress::Progress,
     reconstruct,
     scene::{Role, Scene, Stage, WriteLock},
@@ -26,8 +26,13 @@ use tid3r_weights_convert::Places;
 /// contact_sheet.png, which shows every instance with its id, and top_down.png, a plan of the room.
 ///
 /// With --photo no scene is needed: for each photo, a folder NAME_masks with all masks in masks.json
-/// (COCO's format), labels.png (16 bits) and overlay.png.
+/// (COCO's format), labels.png (16 bits) and overlay.png. What is in ZIP files and videos is written to
+/// unpacked_photos beside these.
 #[derive(Debug, Args)]
+#[command(mut_args(|arg| match arg.get_id().as_str() {
+    "video_frames" | "video_choice" => arg.conflicts_with("scene"),
+    _ => arg,
+}))]
 #[command(after_help = "Examples:\n  \
     tid3r segment room\n  \
     tid3r segment room --segmenter graph\n  \
@@ -37,9 +42,11 @@ pub(super) struct Segment {
     /// The scene's folder
     #[arg(value_name = "SCENE", required_unless_present = "photo")]
     scene: Option<PathBuf>,
-    /// Cut these photos, or those in these folders, without a scene
+    /// Cut these photos, or those in these folders, ZIP files or videos, without a scene
     #[arg(long, value_name = "PHOTOS", num_args = 1.., conflicts_with_all = ["scene", "masks", "no_unify", "force"])]
     photo: Vec<PathBuf>,
+    #[command(flatten)]
+    videos: VideoParams,
     /// The folder to write the masks of photos to [default: where tid3r runs]
     #[arg(short, long, value_name = "FOLDER", conflicts_with = "scene")]
     output: Option<PathBuf>,
@@ -177,6 +184,9 @@ impl Options {
     }
 }
 
+/// Where photos go that are no files of their own, beside their masks.
+const UNPACKED: &str = "unpacked_photos";
+
 impl Segment {
     pub(super) fn run(mut self, terminal: &Terminal) -> Result<()> {
         self.options = self.options.in_type(self.numbers.dtype);
@@ -219,13 +229,14 @@ impl Segment {
             )
             .into());
         }
-        let (photos, warnings) = photos_from_paths(&self.photo)?;
-        for warning in warnings {
+        let sources = PhotoSources::find(&self.photo)?;
+        for warning in &sources.warnings {
             tracing::warn!("{warning}");
         }
         let found = MobileSamWeights::find(places, self.options.encoder)?;
         let sam = MobileSam::new(&found, sam.clone())?;
         let parent = self.output.clone().unwrap_or_default();
+        let photos = sources.photos(&parent.join(UNPACKED), &self.videos, terminal)?;
         let params = &self.options.mask_params;
         let reports = sam.cut_photos(&photos, params, &parent, self.each, terminal)?;
         if self.json {

@@ -5,12 +5,13 @@ use crate::{
     geometry::matrix4,
     scene::{Frame, Role, Scale, Scene, Stage, files},
 };
-use npyz::{WriterBuilder, npz::NpzWriter};
+use npyz::{WriterBuilder, npz::file_name_from_array_name};
 use serde::Serialize;
 use std::{
     io::{self, Cursor},
     path::Path,
 };
+use zip::{ZipWriter, write::SimpleFileOptions};
 
 /// `depth.json`.
 #[derive(Serialize)]
@@ -107,29 +108,34 @@ fn write_npz(path: &Path, frame: &Frame) -> Result<()> {
     ];
     let size = [lens.height, lens.width].map(u64::from);
     let mut bytes = Cursor::new(Vec::new());
+    let mut archive = ZipWriter::new(&mut bytes);
     let mut write = || -> io::Result<()> {
-        let mut npz = NpzWriter::new(&mut bytes);
         for (name, map) in [("depth", &frame.depth), ("confidence", &frame.confidence)] {
-            let array = npz.array(name, Default::default())?.default_dtype();
-            let mut array = array.shape(&size).begin_nd()?;
-            array.extend(map.values().iter().copied())?;
-            array.finish()?;
+            add(&mut archive, name, &size, map.values())?;
         }
         let pose = matrix4::rows(&frame.camera.cam_to_world);
-        let matrices = [
-            ("intrinsics", 3, matrix.as_flattened()),
-            ("cam_to_world", 4, pose.as_flattened()),
-        ];
-        for (name, side, values) in matrices {
-            let array = npz.array(name, Default::default())?.default_dtype();
-            let mut array = array.shape(&[side, side]).begin_nd()?;
-            array.extend(values.iter().copied())?;
-            array.finish()?;
-        }
-        Ok(())
+        add(&mut archive, "intrinsics", &[3, 3], matrix.as_flattened())?;
+        add(&mut archive, "cam_to_world", &[4, 4], pose.as_flattened())
     };
     write().map_err(Error::io("write", path))?;
+    let finished = archive.finish().map(drop).map_err(io::Error::from);
+    finished.map_err(Error::io("write", path))?;
     files::write_atomically(path, |out| out.write_all(bytes.get_ref()))
+}
+
+/// Adds an array to an archive, without a time: the same scene gives the same file.
+fn add<T: npyz::AutoSerialize + Copy>(
+    archive: &mut ZipWriter<&mut Cursor<Vec<u8>>>,
+    name: &str,
+    shape: &[u64],
+    values: &[T],
+) -> io::Result<()> {
+    let options = SimpleFileOptions::default().last_modified_time(zip::DateTime::default());
+    archive.start_file(file_name_from_array_name(name), options)?;
+    let array = npyz::WriteOptions::new().default_dtype().shape(shape);
+    let mut array = array.writer(archive).begin_nd()?;
+    array.extend(values.iter().copied())?;
+    array.finish()
 }
 
 #[cfg(test)]

@@ -15,13 +15,21 @@ use crate::{
 use std::path::Path;
 
 /// Writes `transforms.json`, and what it refers to beside it: `points.ply`, photos in `images/`, and depth in
-/// `depth/`. nerfstudio has z up, so all is in the floor's frame, which `applied_transform` tells.
+/// `depth/`. A path that does not end in `.json` is the folder. nerfstudio has z up, so all is in the floor's frame, which `applied_transform` tells.
 pub(super) fn write(
     scene: &Scene,
     contents: &Contents,
     path: &Path,
     params: &ExportParams,
 ) -> Result<String> {
+    let is_file = path
+        .extension()
+        .is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+    let path = if is_file {
+        path.to_path_buf()
+    } else {
+        path.join("transforms.json")
+    };
     let folder = path.parent().unwrap_or(Path::new(""));
     let to_floor = scene.manifest().floor_to_world.inverse();
     let files = match params.no_photos {
@@ -51,7 +59,7 @@ pub(super) fn write(
         depth_unit_scale_factor: depth_unit,
         applied_transform: Some([x, y, z]),
     };
-    transforms.write(path)?;
+    transforms.write(&path)?;
     let photos = counted(transforms.frames.len(), "photo");
     Ok(format!(
         "{photos}, {}",

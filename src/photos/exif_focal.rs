@@ -2,7 +2,6 @@
 
 use super::{KnownLens, Photo};
 use exif::{Exif, In, Tag, Value};
-use image::ImageReader;
 use std::{fs::File, io::BufReader};
 
 /// The diagonal of 35 mm film, 36 mm x 24 mm.
@@ -21,15 +20,13 @@ impl Photo {
     ///
     /// `None` where the file says nothing or nothing believable, or was cut since.
     pub fn exif_focal(&self) -> Option<f64> {
-        let open = || File::open(&self.path).ok().map(BufReader::new);
-        let exif = exif::Reader::new().read_from_container(&mut open()?).ok()?;
-        let reader = ImageReader::new(open()?).with_guessed_format().ok()?;
-        let (width, height) = reader.into_dimensions().ok()?;
-        focal(&exif, [width, height])
+        let mut file = BufReader::new(File::open(&self.path).ok()?);
+        let exif = exif::Reader::new().read_from_container(&mut file).ok()?;
+        focal(&exif, self.size().ok()?)
     }
 }
 
-/// The focal length in pixels of a picture whose file has this width and height.
+/// The focal length in pixels of a picture of this width and height, whichever way it is turned.
 fn focal(exif: &Exif, size: [u32; 2]) -> Option<f64> {
     let [width, height] = size.map(f64::from);
     let resized = resized_by(exif, [width, height])?;

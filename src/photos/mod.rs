@@ -1,16 +1,20 @@
 //! Photos as users give them, and the way back to them from what a network saw.
 
+mod archive;
+mod contents;
 mod exif_focal;
-mod from_paths;
+mod heic;
 mod jpeg;
+mod kind;
 mod known_lens;
 mod names;
 mod network_frame;
 mod opencv_resize;
 mod pillow_resize;
+mod sources;
 mod undistort;
+mod video;
 
-pub use from_paths::{PHOTO_COUNT_LIMIT, photos_from_paths};
 pub use known_lens::KnownLens;
 pub(crate) use names::{PHOTO_ENDINGS, natural_key};
 pub use network_frame::{
@@ -18,7 +22,11 @@ pub use network_frame::{
 };
 pub use opencv_resize::opencv_resize;
 pub use pillow_resize::{PillowFilter, pillow_resize};
+pub use sources::{PHOTO_COUNT_LIMIT, PhotoSources};
 pub use undistort::undistorted;
+pub use video::{VideoChoice, VideoParams};
+
+use kind::Kind;
 
 use crate::{Error, Result, geometry::Intrinsics};
 use fast_image_resize as fir;
@@ -56,11 +64,15 @@ impl Photo {
         }
     }
 
-    /// Width and height, of the upright photo unless [`Photo::as_stored`]; only the file's head is read.
+    /// Width and height, of the upright photo unless [`Photo::as_stored`]; nothing is decoded.
     ///
     /// # Errors
     /// When the file cannot be read or is no picture that tid3r can decode.
     pub fn size(&self) -> Result<[u32; 2]> {
+        if Kind::of_file(&self.path)? == Kind::Heic {
+            let file = fs::read(&self.path).map_err(Error::io("read", &self.path))?;
+            return heic::size(&file, &self.path);
+        }
         let (orientation, (width, height)) = self.head()?;
         let is_turned = matches!(
             orientation,
@@ -75,12 +87,14 @@ impl Photo {
         })
     }
 
-    /// Whether every program shows the file's pixels as they are: its EXIF data ask for no turn.
+    /// Whether every program shows the file's pixels as they are: its EXIF data ask for no turn, and it is not
+    /// HEIC, which many cannot read.
     ///
     /// # Errors
     /// As [`Photo::size`].
     pub fn is_stored_upright(&self) -> Result<bool> {
-        Ok(self.head()?.0 == Orientation::NoTransforms)
+        let is_heic = Kind::of_file(&self.path)? == Kind::Heic;
+        Ok(!is_heic && self.head()?.0 == Orientation::NoTransforms)
     }
 
     /// Orientation and stored size.
@@ -104,11 +118,19 @@ impl Photo {
     }
 }
 
+/// Whether there is a ZIP file.
+pub(crate) fn is_archive(path: &Path) -> bool {
+    Kind::of_file(path).is_ok_and(|kind| kind == Kind::Archive)
+}
+
 /// The pixels of a picture file's bytes, turned upright unless `as_stored`; `path` is for messages.
 ///
 /// # Errors
 /// When they are no picture that tid3r can decode.
 pub(crate) fn decode(bytes: Vec<u8>, path: &Path, as_stored: bool) -> Result<RgbImage> {
+    if kind::is_heic(&bytes) {
+        return heic::decode(&bytes, path);
+    }
     // The decoder fills up with grey what a JPEG lacks.
     if image::guess_format(&bytes).is_ok_and(|format| format == ImageFormat::Jpeg)
         && !jpeg::is_whole(&bytes)
@@ -138,7 +160,7 @@ pub(crate) fn unreadable(path: &Path, problem: impl Display) -> Error {
     Error::file(
         path,
         format!("is not a readable picture ({})", words.join(" ")),
-        "give a whole PNG, JPEG or PNM file",
+        "give a whole PNG, JPEG, WebP, TIFF or PNM file",
     )
 }
 
@@ -291,58 +313,4 @@ fn cut_and_resize(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use approx::assert_relative_eq;
-
-    #[test]
-    fn a_lens_goes_to_a_portrait_photo_and_back() {
-        // 3000x4000 halved, then the middle 1000 of 2000 rows.
-        let transform = PhotoTransform {
-            photo_size: [3000, 4000],
-            crop_origin: [0.0, 1000.0],
-            crop_size: [3000.0, 2000.0],
-            frame_size: [1500, 1000],
-        };
-        let of_frame = Intrinsics {
-            width: 1500,
-            height: 1000,
-            fx: 1400.0,
-            fy: 1410.0,
-            cx: 749.5,
-            cy: 499.5,
-        };
-        let of_photo = transform.intrinsics_of_photo(&of_frame);
-        let want = Intrinsics {
-            width: 3000,
-            height: 4000,
-            fx: 2800.0,
-            fy: 2820.0,
-            // The middle stays the middle.
-            cx: 1499.5,
-            cy: 1999.5,
-        };
-        assert_eq!(of_photo, want);
-        assert_eq!(transform.intrinsics_of_frame(&of_photo), of_frame);
-    }
-
-    #[test]
-    fn a_point_has_the_same_image_by_either_lens() {
-        let frame = NetworkFrame::new([1234, 777], 224, false).unwrap();
-        let transform = frame.transform();
-        let of_photo = Intrinsics {
-            width: 1234,
-            height: 777,
-            fx: 900.0,
-            fy: 901.0,
-            cx: 610.0,
-            cy: 391.0,
-        };
-        let point = [0.3, -0.2, 2.0].into();
-        let in_frame = transform.intrinsics_of_frame(&of_photo).project(&point);
-        let want = of_photo.project(&point).unwrap();
-        let got = transform.to_photo(in_frame.unwrap());
-        assert_relative_eq!(got[0], want[0], epsilon = 1e-9);
-        assert_relative_eq!(got[1], want[1], epsilon = 1e-9);
-    }
-}
+mod tests;

@@ -28,6 +28,26 @@ pub struct NewScene<'a> {
 }
 
 impl NewScene<'_> {
+    /// The scene that is in `folder` already, made with these parameters; none with `force`.
+    ///
+    /// # Errors
+    /// When the folder holds another scene and `force` is false.
+    pub fn in_place(folder: &Path, parameters: &Value, force: bool) -> Result<Option<Scene>> {
+        if force || !folder.join("scene.json").exists() {
+            return Ok(None);
+        }
+        let scene = Scene::open(folder)?;
+        match scene.manifest().stages.get(&Stage::Reconstruct) {
+            None => Ok(None),
+            Some(record) if record.parameters == *parameters => Ok(Some(scene)),
+            Some(_) => Err(Error::file(
+                folder,
+                "holds a scene made from something else, or in another way",
+                "choose another folder, or replace it with --force",
+            )),
+        }
+    }
+
     /// Makes the scene in `folder`, or leaves it alone if it is there already, made with the same
     /// parameters.
     ///
@@ -41,18 +61,8 @@ impl NewScene<'_> {
         lock: &WriteLock,
         progress: &dyn Progress,
     ) -> Result<Scene> {
-        if !force && folder.join("scene.json").exists() {
-            let scene = Scene::open(folder)?;
-            if let Some(record) = scene.manifest().stages.get(&Stage::Reconstruct) {
-                if record.parameters == self.parameters {
-                    return Ok(scene);
-                }
-                return Err(Error::file(
-                    folder,
-                    "holds a scene made from something else, or in another way",
-                    "choose another folder, or replace it with --force",
-                ));
-            }
+        if let Some(scene) = Self::in_place(folder, &self.parameters, force)? {
+            return Ok(scene);
         }
         let start = Instant::now();
         let photos: Vec<Photo> = self.inputs.iter().chain(self.held_out).cloned().collect();

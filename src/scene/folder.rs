@@ -528,6 +528,13 @@ impl Scene {
         files::write_json(&path, &timings)
     }
 
+    /// How many seconds something took when it was last done; `None` where nobody knows.
+    pub fn timing(&self, what: &str) -> Option<f64> {
+        let path = self.folder.join("timings.json");
+        let timings: BTreeMap<String, f64> = files::read_json(&path, "").ok()?;
+        timings.get(&format!("{what}_seconds")).copied()
+    }
+
     /// The points that passed the cleaning, with their instances once there are any.
     ///
     /// # Errors

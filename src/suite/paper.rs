@@ -59,24 +59,31 @@ pub fn scenes(
     scannetpp: Option<&Path>,
 ) -> Result<(Vec<SceneEntry>, Vec<String>)> {
     let (mut found, mut missing) = (Vec::new(), Vec::new());
+    let labels = |folder: &Path| {
+        let labels = ["instance-filt", "instance"].map(|part| folder.join(part));
+        labels.into_iter().find(|labels| labels.is_dir())
+    };
     let mut add = |root: Option<&Path>,
                    name: &str,
                    settings: &dyn Fn(SceneEntry, &Path) -> SceneEntry| {
         let places = root.map(|root| ["", "scans", "data"].map(|part| root.join(part).join(name)));
         match places.and_then(|places| places.into_iter().find(|place| place.is_dir())) {
-            Some(folder) => found.push(settings(SceneEntry::of_recording(name, &folder), &folder)),
+            Some(folder) => {
+                let entry = settings(SceneEntry::of_recording(name, &folder), &folder);
+                match entry.measures(Measure::Instances) && entry.truth_labels.is_none() {
+                    true => missing.push(format!("{name} (no instance-filt/ in it)")),
+                    false => found.push(entry),
+                }
+            }
             None => missing.push(name.to_string()),
         }
     };
     for name in SCANNET_INSTANCES {
-        add(scannet, name, &|entry, folder| {
-            let labels = ["instance-filt", "instance"].map(|part| folder.join(part));
-            SceneEntry {
-                truth_labels: labels.into_iter().find(|labels| labels.is_dir()),
-                measure: [Measure::Instances].into(),
-                tests: 0,
-                ..of_scannet(entry, folder)
-            }
+        add(scannet, name, &|entry, folder| SceneEntry {
+            truth_labels: labels(folder),
+            measure: [Measure::Instances].into(),
+            tests: 0,
+            ..of_scannet(entry, folder)
         });
     }
     let views = [Measure::Cameras, Measure::Depth, Measure::Views];
@@ -128,12 +135,14 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let scans = root.path().join("scannet/scans");
         fs::create_dir_all(scans.join("scene0107_00/instance-filt")).unwrap();
+        fs::create_dir_all(scans.join("scene0362_00")).unwrap();
         fs::create_dir_all(scans.join("scene0758_00")).unwrap();
         fs::write(scans.join("scene0758_00/scene0758_00.sens"), "").unwrap();
         fs::create_dir_all(root.path().join("pp/data/4610b2104c")).unwrap();
         let (scannet, pp) = (root.path().join("scannet"), root.path().join("pp"));
         let (found, missing) = scenes(Some(&scannet), Some(&pp)).unwrap();
         assert_eq!((found.len(), missing.len()), (3, 9));
+        assert!(missing[0].contains("no instance-filt"), "{missing:?}");
         assert!(found[0].truth_labels.is_some() && found[0].measures(Measure::Instances));
         assert!(!found[0].measures(Measure::Views) && found[0].tests == 0);
         assert!(

@@ -7,7 +7,7 @@ use crate::{
     photos::Photo,
     progress::Progress,
     reconstruct::{NewScene, Reconstructor},
-    scene::{Frame, Role, Scene, WriteLock, files},
+    scene::{Role, Scene, WriteLock, files},
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -119,84 +119,34 @@ pub fn cloud_scene(
             .map_or(640, |[width, height]| width.max(height)),
         ..ImportOptions::default()
     };
-    // The photos of a scene lie side by side.
-    let photos = records
-        .first()
-        .and_then(|record| record.photo.path.parent());
-    let photos = photos.unwrap_or(Path::new(""));
-    let opened = Recording::open(photos, &options, &photos_folder(folder)?)?;
-    let known: Vec<Photo> = (opened.inputs.iter())
-        .filter(|photo| records.iter().any(|record| same_file(&record.photo, photo)))
-        .cloned()
-        .collect();
-    if known.len() < 2 {
+    // Beside each other, and called as cameras are to be called.
+    let photos = photos_folder(folder)?;
+    let lock = WriteLock::acquire(folder)?;
+    std::fs::create_dir_all(&photos).map_err(Error::io("create", &photos))?;
+    for Photo { name, path, .. } in records.iter().map(|record| &record.photo) {
+        let ending = path.extension().unwrap_or_default().to_string_lossy();
+        let copy = photos.join(format!("{name}.{ending}"));
+        if !copy.exists() {
+            let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+            files::write_atomically(&copy, |file| file.write_all(&bytes))?;
+        }
+    }
+    let opened = Recording::open(&photos, &options, &photos)?;
+    if opened.inputs.len() < 2 {
         return Err(Error::file(
             &cloud.cameras,
-            format!(
-                "has cameras of {} of the photos that were chosen",
-                known.len()
-            ),
-            "call its cameras like the photos; truth/ of the scene's folder shows which were chosen",
+            "has a camera of one of the photos that were chosen only",
+            "call its cameras like the photos; choice.json in the scene's folder says which were chosen",
         ));
     }
-    let lock = WriteLock::acquire(folder)?;
-    let renamed = Renamed {
-        recording: &opened,
-        truth: records.iter().map(|record| record.photo.clone()).collect(),
-    };
     NewScene {
-        reconstructor: &renamed,
-        inputs: &known
-            .iter()
-            .map(|photo| renamed.name(photo))
-            .collect::<Vec<_>>(),
+        reconstructor: &opened,
+        inputs: &opened.inputs,
         held_out: &[],
         scale: opened.scale,
         parameters: serde_json::json!({ "cloud": cloud, "options": options }),
     }
     .create(folder, force, &lock, progress)
-}
-
-/// A recording whose photos are called as the truth calls them.
-struct Renamed<'a> {
-    recording: &'a Recording,
-    truth: Vec<Photo>,
-}
-
-impl Renamed<'_> {
-    fn name(&self, photo: &Photo) -> Photo {
-        let known = self.truth.iter().find(|truth| same_file(truth, photo));
-        Photo {
-            name: known.map_or_else(|| photo.name.clone(), |truth| truth.name.clone()),
-            ..photo.clone()
-        }
-    }
-}
-
-impl Reconstructor for Renamed<'_> {
-    fn reconstruct(
-        &self,
-        photos: &[Photo],
-        progress: &dyn Progress,
-    ) -> Result<crate::reconstruct::Reconstruction> {
-        let wanted = |photo: &&Photo| photos.contains(&self.name(photo));
-        let own: Vec<Photo> = self
-            .recording
-            .inputs
-            .iter()
-            .filter(wanted)
-            .cloned()
-            .collect();
-        let mut made = self.recording.reconstruct(&own, progress)?;
-        for Frame { photo, .. } in &mut made.frames {
-            *photo = self.name(photo);
-        }
-        Ok(made)
-    }
-}
-
-fn same_file(a: &Photo, b: &Photo) -> bool {
-    a.path.file_name() == b.path.file_name()
 }
 
 /// A scene's own photos are found whatever folder later commands are run in.

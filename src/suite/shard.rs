@@ -26,7 +26,7 @@ impl Shard {
     pub const WHOLE: Self = Self { index: 0, count: 1 };
 
     /// The process's share by the variables of its scheduler, which `variable` gives by name: a task of a Slurm array
-    /// (`SLURM_ARRAY_TASK_ID`, `_MIN`, `_COUNT`, `_STEP`), a task of an `srun` (`SLURM_PROCID`, `SLURM_NTASKS`) or both, or a
+    /// (`SLURM_ARRAY_TASK_ID`, `_MIN`, `_COUNT`, `_STEP`), a task of an `srun` (`SLURM_PROCID`, `SLURM_STEP_NUM_TASKS`) or both, or a
     /// pod of a Kubernetes indexed job (`JOB_COMPLETION_INDEX`; the job must set `JOB_COMPLETIONS`, as Kubernetes does not say
     /// how many there are).
     ///
@@ -40,14 +40,15 @@ impl Shard {
             let parsed = text.trim().parse().map(Some);
             parsed.map_err(|_| scheduler_says(format!("{name} is '{text}', which is no number")))
         };
-        let task = match (number("SLURM_PROCID")?, number("SLURM_NTASKS")?) {
+        // Not SLURM_NTASKS: a batch script has that as well, and runs once.
+        let task = match (number("SLURM_PROCID")?, number("SLURM_STEP_NUM_TASKS")?) {
             (Some(index), Some(count)) => Self::new(index, count).map_err(scheduler_says)?,
             _ => Self::WHOLE,
         };
         if let Some(id) = number("SLURM_ARRAY_TASK_ID")? {
             let count = number("SLURM_ARRAY_TASK_COUNT")?;
             let Some(count) = count else {
-                return Err(scheduler_says("SLURM_ARRAY_TASK_COUNT is not set".into()));
+                return Err(scheduler_says("SLURM_ARRAY_TASK_COUNT is not set"));
             };
             let first = number("SLURM_ARRAY_TASK_MIN")?.unwrap_or(0);
             let step = number("SLURM_ARRAY_TASK_STEP")?.unwrap_or(1).max(1);
@@ -107,7 +108,7 @@ impl ShardChoice {
     }
 }
 
-fn scheduler_says(problem: String) -> Error {
+fn scheduler_says(problem: impl fmt::Display) -> Error {
     Error::request(
         format!("the scheduler's variables cannot be used: {problem}"),
         "number the tasks from 0 on without gaps, or say which share this process has, as in --shard 1/8",
@@ -173,10 +174,13 @@ mod tests {
             ("SLURM_ARRAY_TASK_COUNT", "4"),
         ];
         assert_eq!(of(&array).unwrap().to_string(), "4/4");
-        let step = [("SLURM_PROCID", "1"), ("SLURM_NTASKS", "2")];
+        let step = [("SLURM_PROCID", "1"), ("SLURM_STEP_NUM_TASKS", "2")];
         assert_eq!(of(&step).unwrap().to_string(), "2/2");
         let both: Vec<_> = array.into_iter().chain(step).collect();
         assert_eq!(of(&both).unwrap().to_string(), "8/8");
+        let script = [("SLURM_PROCID", "0"), ("SLURM_NTASKS", "2")];
+        let of_script: Vec<_> = array.into_iter().chain(script).collect();
+        assert_eq!(of(&of_script).unwrap().to_string(), "4/4");
         let job = [("JOB_COMPLETION_INDEX", "0"), ("JOB_COMPLETIONS", "5")];
         assert_eq!(of(&job).unwrap().to_string(), "1/5");
     }

@@ -17,6 +17,7 @@ mod export_formats;
 mod import;
 mod instances;
 mod killed;
+mod lists;
 mod place;
 mod reconstruct;
 mod recording;
@@ -26,7 +27,9 @@ mod see3d;
 mod segment;
 mod stages;
 mod usage;
+mod video;
 mod view;
 mod weights;
+mod zipped;
 
 use place::Place;

@@ -17,7 +17,7 @@ fn place() -> Place {
     place
 }
 
-fn add_weights(place: &Place) {
+pub(crate) fn add_weights(place: &Place) {
     for network in [
         "detector",
         "efficientvit-l2",
@@ -32,7 +32,7 @@ fn add_weights(place: &Place) {
 }
 
 /// Made-up weights find little that they are sure of.
-const ALL: &str = "--weights models --confidence 0.01 --max-masks 6 --detector-size 64 \
+pub(crate) const ALL: &str = "--weights models --confidence 0.01 --max-masks 6 --detector-size 64 \
                    --min-mask-area 0 --duplicates 1";
 
 #[test]

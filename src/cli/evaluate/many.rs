@@ -1,10 +1,12 @@
 //! `evaluate --paper` and `evaluate --merge`: many scenes.
 
 use super::Evaluate;
-use crate::cli::{output, suite, suite::Suite, terminal::Terminal};
+use crate::cli::{
+    suite::{Suite, report},
+    terminal::Terminal,
+};
 use anyhow::Result;
 use clap::Args;
-use serde_json::json;
 use std::{path::PathBuf, str::FromStr};
 use tid3r::{
     Error,
@@ -12,8 +14,7 @@ use tid3r::{
     reconstruct::CleanParams,
     render::SplatParams,
     suite::{
-        CloudFiles, SceneEntry, SceneList, SceneResult, Shard, ShardChoice, Tables, paper,
-        results_in,
+        CloudFiles, SceneEntry, SceneList, SceneResult, Shard, ShardChoice, paper, results_in,
     },
 };
 use tid3r_weights_convert::Places;
@@ -38,6 +39,9 @@ pub(super) struct Options {
     /// The folder to write to; the same command goes on with what is not finished
     #[arg(short, long, value_name = "FOLDER", requires = "paper")]
     output: Option<PathBuf>,
+    /// Make everything again
+    #[arg(long, requires = "paper")]
+    force: bool,
     /// Which share of the scenes this process takes: I/N, or auto for what Slurm or Kubernetes says
     #[arg(long, value_name = "SHARE", requires = "paper")]
     shard: Option<ShardChoice>,
@@ -117,7 +121,7 @@ impl Evaluate {
             shard: options
                 .shard
                 .map_or(Ok(Shard::WHOLE), ShardChoice::resolve)?,
-            force: false,
+            force: options.force,
             places: &places,
             reconstruct: &Default::default(),
             clean: &CleanParams::default(),
@@ -141,17 +145,4 @@ impl Evaluate {
 fn of_photos(entry: &SceneEntry, _: &std::path::Path, _: &dyn Progress) -> Result<SceneResult> {
     let problem = format!("the scene {} has no recording", entry.name);
     Err(Error::request(problem, "give its recording").into())
-}
-
-/// Prints tables and notes.
-pub(in crate::cli) fn report(
-    results: &[SceneResult],
-    with_paper: bool,
-    as_json: bool,
-) -> Result<()> {
-    if as_json {
-        let tables = Tables::new(results, with_paper).tables;
-        return output::json(&json!({ "tables": tables, "scenes": results }));
-    }
-    suite::print(results, with_paper)
 }

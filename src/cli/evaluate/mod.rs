@@ -1,8 +1,6 @@
 mod many;
 mod table;
 
-pub(super) use many::report;
-
 use super::{output, refine, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, ValueEnum};

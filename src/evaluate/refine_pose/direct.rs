@@ -80,9 +80,10 @@ pub(super) fn align(
     (state.camera, state.exposure)
 }
 
-/// The mean difference between a projection and the photo, exposure taken out, and the number of pixels compared. Where
-/// nothing can be compared, the largest there is.
-pub(super) fn difference(projection: &Projection, photo: &Level) -> (f64, usize) {
+/// The share of the photo's variation in brightness that a projection explains, exposure taken out, and the number of
+/// pixels compared: 1 less the mean difference over the mean deviation from the middle, each counted as [`LARGEST`] at most.
+/// 0 where nothing can be compared.
+pub(super) fn agreement(projection: &Projection, photo: &Level) -> (f64, usize) {
     let depths = projection.depth.values().iter();
     let shown = projection.colour.pixels().zip(depths).enumerate();
     let pairs: Vec<[f64; 2]> = shown
@@ -94,17 +95,36 @@ pub(super) fn difference(projection: &Projection, photo: &Level) -> (f64, usize)
         })
         .collect();
     if pairs.len() < FEWEST {
-        return (LARGEST, pairs.len());
+        return (0.0, pairs.len());
     }
+    let mean = |error: &dyn Fn(&[f64; 2]) -> f64| {
+        pairs
+            .iter()
+            .map(|pair| error(pair).abs().min(LARGEST))
+            .sum::<f64>()
+            / pairs.len() as f64
+    };
+    let mut sorted: Vec<f64> = pairs.iter().map(|[_, photo]| *photo).collect();
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted[sorted.len() / 2];
+    let deviation = mean(&|[_, photo]| photo - middle);
     let mut exposure = Brightness::default();
-    let mut mean = LARGEST;
+    let mut difference = f64::INFINITY;
     for _ in 0..5 {
         let error = |[cloud, photo]: &[f64; 2]| photo - exposure.gain * cloud - exposure.offset;
-        let clipped = pairs.iter().map(|pair| error(pair).abs().min(LARGEST));
-        mean = clipped.sum::<f64>() / pairs.len() as f64;
+        difference = mean(&error);
         exposure = fitted(&pairs, |pair| weight(error(pair))).unwrap_or(exposure);
     }
-    (mean, pairs.len())
+    // A photo of one brightness has nothing to explain.
+    let flat = deviation < 1e-4;
+    (
+        if flat {
+            0.0
+        } else {
+            1.0 - difference / deviation
+        },
+        pairs.len(),
+    )
 }
 
 /// The line through pairs of brightness by weighted least squares.

@@ -32,6 +32,10 @@ const LATER_LEVELS: usize = 3;
 const SETTLED_PX: f64 = 0.02;
 /// A refined camera must see this share of the points that it saw before.
 const STILL_SEEN: f64 = 0.8;
+/// Where the cloud explains less than this of the photo, a better pose would be one by chance.
+const TRUSTED: f64 = 0.25;
+/// Points may move by this share of the picture's width, the median; farther away is another place that looks alike.
+const REACH: f64 = 0.12;
 
 /// A refined pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,11 +51,10 @@ pub struct RefinedPose {
 pub struct PoseGain {
     /// Whether a better pose was found.
     pub refined: bool,
-    /// Mean difference in brightness between the cloud, as the camera as given sees it, and the photo; of 0 to 1, gain
-    /// and offset of the exposure taken out, differences above 0.2 counted as that.
-    pub difference_before: f64,
+    /// The share of the photo's variation in brightness that the cloud explains, as the camera as given sees it.
+    pub agreement_before: f64,
     /// The same with the refined camera.
-    pub difference_after: f64,
+    pub agreement_after: f64,
     /// The angle by which the camera was turned.
     pub turned_deg: f64,
     /// The distance by which it was moved, scene units.
@@ -66,30 +69,32 @@ pub fn refine_pose(cloud: &Cloud, camera: &Camera, photo: &RgbImage) -> RefinedP
     let photo = photo_levels(photo, &camera.intrinsics);
     let given = Seen::new(cloud, camera, &photo);
     let mut best = given.clone();
-    let mut latest = given.clone();
-    for round in 0..ROUNDS {
-        let templates = template_levels(&latest.projection, photo.len());
-        let coarsest = match round {
-            0 => photo.len(),
-            _ => photo.len().min(LATER_LEVELS),
-        };
-        let mut moved = latest.projection.camera;
-        let mut exposure = Brightness::default();
-        for (template, photo) in templates.iter().zip(&photo).take(coarsest).rev() {
-            (moved, exposure) = align(template, photo, moved, exposure);
-        }
-        let step = distance_px(&latest.projection, &moved);
-        latest = Seen::new(cloud, &moved, &photo);
-        if latest.pixels as f64 >= STILL_SEEN * given.pixels as f64
-            && latest.difference < best.difference
-        {
-            best = latest.clone();
-        }
-        if step < SETTLED_PX {
-            break;
+    // From coarse pictures a camera finds back from far off, but where little is seen also goes astray.
+    for coarsest in [photo.len(), photo.len().min(LATER_LEVELS)] {
+        let mut latest = given.clone();
+        for round in 0..ROUNDS {
+            let levels = if round == 0 {
+                coarsest
+            } else {
+                coarsest.min(LATER_LEVELS)
+            };
+            let moved = latest.aligned(&photo[..levels]);
+            let step = distance_px(&latest.projection, &moved);
+            latest = Seen::new(cloud, &moved, &photo);
+            let is_near = distance_px(&given.projection, &moved)
+                <= REACH * f64::from(camera.intrinsics.width);
+            if !is_near || (latest.pixels as f64) < STILL_SEEN * given.pixels as f64 {
+                break;
+            }
+            if latest.agreement > best.agreement.max(TRUSTED) {
+                best = latest.clone();
+            }
+            if step < SETTLED_PX {
+                break;
+            }
         }
     }
-    let refined = best.difference < given.difference;
+    let refined = best.agreement > given.agreement;
     let motion = match refined {
         true => camera.cam_to_world.inverse() * best.projection.camera.cam_to_world,
         false => Pose::identity(),
@@ -98,8 +103,8 @@ pub fn refine_pose(cloud: &Cloud, camera: &Camera, photo: &RgbImage) -> RefinedP
         camera: best.projection.camera,
         report: PoseGain {
             refined,
-            difference_before: given.difference,
-            difference_after: best.difference,
+            agreement_before: given.agreement,
+            agreement_after: best.agreement,
             turned_deg: motion.rotation.angle().to_degrees(),
             moved: motion.translation.vector.norm(),
         },
@@ -110,23 +115,35 @@ pub fn refine_pose(cloud: &Cloud, camera: &Camera, photo: &RgbImage) -> RefinedP
 #[derive(Clone)]
 struct Seen {
     projection: Projection,
-    difference: f64,
+    /// See [`direct::agreement`].
+    agreement: f64,
     pixels: usize,
 }
 
 impl Seen {
     fn new(cloud: &Cloud, camera: &Camera, photo: &[Level]) -> Self {
         let projection = project(cloud, camera, &SPLATS);
-        let (difference, pixels) = direct::difference(&projection, &photo[0]);
+        let (agreement, pixels) = direct::agreement(&projection, &photo[0]);
         Self {
             projection,
-            difference,
+            agreement,
             pixels,
         }
     }
+
+    /// The camera where the projection lies on the photo, which is given at some sizes, the full one first.
+    fn aligned(&self, photo: &[Level]) -> Camera {
+        let templates = template_levels(&self.projection, photo.len());
+        let mut camera = self.projection.camera;
+        let mut exposure = Brightness::default();
+        for (template, photo) in templates.iter().zip(photo).rev() {
+            (camera, exposure) = align(template, photo, camera, exposure);
+        }
+        camera
+    }
 }
 
-/// How far pixels of `projection` move in the picture, the median, if its camera does.
+/// How far pixels of `projection` move in the picture, the median, if its camera does; endlessly far behind the camera.
 fn distance_px(projection: &Projection, moved: &Camera) -> f64 {
     let depth = &projection.depth;
     let known = (0..depth.len()).step_by(97).filter_map(|index| {
@@ -134,8 +151,8 @@ fn distance_px(projection: &Projection, moved: &Camera) -> f64 {
         let (x, y) = depth.pixel(index);
         let (x, y) = (f64::from(x), f64::from(y));
         let point = (z > 0.0).then(|| projection.camera.unproject(x, y, z))?;
-        let ([u, v], _) = moved.project(&point)?;
-        Some((u - x).hypot(v - y))
+        let seen = moved.project(&point);
+        Some(seen.map_or(f64::INFINITY, |([u, v], _)| (u - x).hypot(v - y)))
     });
     let mut distances: Vec<f64> = known.collect();
     distances.sort_by(f64::total_cmp);

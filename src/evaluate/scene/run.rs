@@ -21,7 +21,10 @@ use crate::{
 };
 use image::RgbImage;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
 
 /// What a scene is compared with, and how.
 pub struct Evaluation<'a> {
@@ -202,9 +205,13 @@ impl Evaluation<'_> {
                     scene_recipe: &recipe,
                     force: false,
                 };
+                let start = Instant::now();
                 let rendering = &self.rendering;
                 let written =
                     rendering.write(&edited, &tests.cameras, &target, kept.lock, progress)?;
+                if written.rendered {
+                    scene.write_timing("test_views", start, kept.lock)?;
+                }
                 written.views.iter().map(read).collect::<Result<_>>()?
             }
             None => {

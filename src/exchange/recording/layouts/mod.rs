@@ -17,6 +17,7 @@ mod tum;
 use crate::{
     Error, Result,
     exchange::recording::{ImportOptions, folder_pictures::names, listing::Listing},
+    photos,
 };
 use clap::ValueEnum;
 use serde::Serialize;
@@ -117,10 +118,16 @@ impl Layout {
             return Ok(Self::Sens);
         }
         if !path.is_dir() {
-            let problem = if path.exists() {
-                "is not a folder"
-            } else {
-                "does not exist"
+            if photos::is_archive(path) {
+                return Err(Error::file(
+                    path,
+                    "is a ZIP file, which recordings are not read from",
+                    "unpack it, and give the folder; photos without cameras or depth are for `tid3r reconstruct`",
+                ));
+            }
+            let problem = match path.exists() {
+                true => "is not a folder",
+                false => "does not exist",
             };
             return Err(Error::file(
                 path,

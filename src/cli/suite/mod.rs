@@ -1,27 +1,33 @@
 //! Lists of scenes with a truth: each is made, measured and written down by itself.
 
-use super::{output, reconstruct, segment};
+mod print;
+mod rows;
+
+pub(super) use print::report;
+
+use super::{reconstruct, segment};
 use anyhow::Result;
+use rows::{rows_of, take_views};
 use serde_json::json;
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
-    time::Instant,
 };
 use tid3r::{
     Error,
     evaluate::{
-        depth::{Alignment, DepthReport},
+        depth::Alignment,
         lpips::Perceptual,
-        scene::{Evaluation, KeptViews, Report, ViewsReport},
+        scene::{Evaluation, KeptViews, ViewsReport},
     },
+    photos::Photo,
     progress::Progress,
     reconstruct::{CleanParams, clean},
     render::{Completer, ReferenceParams, Rendering, Shown, SplatParams},
     scene::{Hasher, Role, Scene, WriteLock},
     suite::{
-        self, METHOD, Measure, NOT_CLEANED, NOT_UNIFIED, RowFigures, SceneEntry, SceneList,
-        SceneResult, Seconds, Shard, Table, Tables, ViewFigures,
+        self, METHOD, Measure, NOT_CLEANED, RowFigures, SceneEntry, SceneList, SceneResult,
+        Seconds, Shard,
     },
 };
 use tid3r_weights_convert::Places;
@@ -150,43 +156,47 @@ impl Suite<'_> {
     ) -> Result<SceneResult> {
         let truth = suite::truth_scene(entry, recording, folder, self.force, progress)?;
         let made = folder.join("scene");
-        let mut seconds = Seconds::default();
-        let start = Instant::now();
-        let photos = truth
-            .records(Role::Input)
-            .iter()
-            .map(|record| record.photo.clone());
+        let photos: Vec<Photo> = (truth.records(Role::Input).iter())
+            .map(|record| record.photo.clone())
+            .collect();
         let weights = self.reconstruct.find_weights(self.places)?;
-        let (mut scene, lock) = self.reconstruct.clone().reconstruct_photos(
-            photos.collect(),
-            weights,
-            &made,
-            self.force,
-            progress,
-        )?;
+        let (mut scene, lock) = self
+            .reconstruct
+            .reconstruct_photos(&photos, weights, &made, self.force, progress)?;
         clean(&mut scene, self.clean, self.force, &lock, progress)?;
-        seconds.reconstruct = start.elapsed().as_secs_f64();
         let mut notes = Vec::new();
         let wants_instances = entry.measures(Measure::Instances) && entry.truth_labels.is_some();
         if wants_instances {
-            let start = Instant::now();
             let segment = self.segment.clone();
             segment.segment(&mut scene, self.places, self.force, &lock, progress)?;
-            seconds.segment = start.elapsed().as_secs_f64();
         }
         let labels = entry.truth_labels.clone().filter(|_| wants_instances);
         let report = self.evaluation(&truth, labels).compared(&scene, progress)?;
         let mut rows = rows_of(entry, &report);
         let wants_views =
             entry.measures(Measure::Views) && !truth.records(Role::HeldOut).is_empty();
+        let mut render = 0.0;
         if wants_views {
-            let start = Instant::now();
             let views = self.views(&scene, &truth, Shown::Cleaned, &lock, progress);
-            seconds.render = start.elapsed().as_secs_f64();
-            take_views(&mut rows, METHOD, views, &mut notes);
-            let as_is = self.views(&scene, &truth, Shown::All, &lock, progress);
-            take_views(&mut rows, NOT_CLEANED, as_is, &mut notes);
+            render = scene.timing("test_views").unwrap_or_default();
+            // Where cameras cannot be aligned, those of the same scene without cleaning cannot, either.
+            if take_views(&mut rows, METHOD, views, &mut notes) {
+                let as_is = self.views(&scene, &truth, Shown::All, &lock, progress);
+                take_views(&mut rows, NOT_CLEANED, as_is, &mut notes);
+            }
         }
+        let seconds = |stages: &[&str]| -> f64 {
+            stages.iter().filter_map(|stage| scene.timing(stage)).sum()
+        };
+        let seconds = Seconds {
+            reconstruct: seconds(&["reconstruct", "clean"]),
+            segment: if wants_instances {
+                seconds(&["masks", "unify"])
+            } else {
+                0.0
+            },
+            render,
+        };
         for (name, cloud) in &entry.clouds {
             let (row, note) = self.cloud(entry, name, cloud, &truth, folder, progress)?;
             rows.insert(name.clone(), row);
@@ -268,107 +278,4 @@ impl Suite<'_> {
         self.evaluation(truth, None)
             .views(scene, Some(truth), shown, Some(kept), progress)
     }
-}
-
-/// The rows of the method and of its ablations, without views.
-fn rows_of(entry: &SceneEntry, report: &Report) -> BTreeMap<String, RowFigures> {
-    let mut rows: BTreeMap<String, RowFigures> = BTreeMap::new();
-    let mut row = |name: &str, change: &dyn Fn(&mut RowFigures)| {
-        change(rows.entry(name.to_string()).or_default());
-    };
-    if let Some(instances) = &report.instances {
-        let of = |coco: &tid3r::evaluate::instances::coco::CocoReport| {
-            Some([coco.ap, coco.ap50, coco.ap75])
-        };
-        let points = &instances.points;
-        row(METHOD, &|row| {
-            row.instances = of(&instances.after);
-            row.instances_of_points = Some([points.ap, points.ap50, points.ap25]);
-        });
-        row(NOT_UNIFIED, &|row| row.instances = of(&instances.before));
-    }
-    if let Some(depth) = report
-        .depth
-        .as_ref()
-        .filter(|_| entry.measures(Measure::Depth))
-    {
-        let of = |depth: &DepthReport| {
-            let all = &depth.all;
-            Some([all.rmse, all.abs_rel, all.delta1, all.coverage])
-        };
-        row(METHOD, &|row| row.depth = of(&depth.after));
-        row(NOT_CLEANED, &|row| row.depth = of(&depth.before));
-    }
-    if let Some(cameras) = report
-        .cameras
-        .as_ref()
-        .filter(|_| entry.measures(Measure::Cameras))
-    {
-        let accuracy = &cameras.accuracy;
-        row(METHOD, &|row| {
-            row.cameras = Some([accuracy.rra_15, accuracy.rta_15, accuracy.maa_30]);
-        });
-    }
-    rows
-}
-
-/// Figures of views into their row; why there are none, into the notes.
-fn take_views(
-    rows: &mut BTreeMap<String, RowFigures>,
-    name: &str,
-    views: Result<Option<ViewsReport>, Error>,
-    notes: &mut Vec<String>,
-) {
-    match views {
-        Ok(Some(report)) => {
-            let mean = &report.completed;
-            rows.entry(name.to_string()).or_default().views = Some(ViewFigures {
-                psnr: mean.psnr,
-                ssim: mean.ssim,
-                lpips_alex: mean.lpips.alex,
-                lpips_vgg: mean.lpips.vgg,
-            });
-        }
-        Ok(None) => {}
-        // Cameras that cannot be aligned are a result of the scene, not a failure of the run.
-        Err(error) => {
-            tracing::warn!("{name}: no views: {error}");
-            notes.push(format!("{name}: no views: {error}"));
-        }
-    }
-}
-
-/// Prints tables of results, and what there is to say of them.
-pub(super) fn print(results: &[SceneResult], with_paper: bool) -> Result<()> {
-    for (number, table) in Tables::new(results, with_paper).tables.iter().enumerate() {
-        if number > 0 {
-            output::line("")?;
-        }
-        print_table(table)?;
-    }
-    for result in results {
-        for note in &result.notes {
-            output::line(format!("{}: {note}", result.scene))?;
-        }
-    }
-    Ok(())
-}
-
-fn print_table(table: &Table) -> Result<()> {
-    let mut heading = vec![table.title.to_string(), "scenes".into()];
-    heading.extend(table.columns.iter().map(|column| (*column).to_string()));
-    let mut rows = vec![heading];
-    for row in &table.rows {
-        let mut cells = vec![row.name.clone()];
-        cells.push(
-            row.scenes
-                .map_or(String::new(), |scenes| scenes.to_string()),
-        );
-        cells.extend(row.figures.iter().map(|figure| match figure {
-            Some(figure) => format!("{figure:.*}", table.digits),
-            None => "-".into(),
-        }));
-        rows.push(cells);
-    }
-    output::table(&rows)
 }

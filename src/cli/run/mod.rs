@@ -1,27 +1,23 @@
-use super::{
-    Dtype, edit as edit_verb, evaluate, output, reconstruct, render, segment, suite::Suite,
-    terminal::Terminal,
-};
+mod list;
+
+use super::{Dtype, edit as edit_verb, output, reconstruct, render, segment, terminal::Terminal};
 use anyhow::Result;
 use clap::Args;
 use serde::Serialize;
 use serde_json::Value;
 use std::{
-    collections::BTreeMap,
     path::{Path, PathBuf},
     time::Instant,
 };
 use tid3r::{
     Error,
     edit::{self, Edit, EditList, InstanceList},
-    evaluate::lpips::Perceptual,
     exchange::ply,
     progress::Progress,
     reconstruct::{CleanParams, CleanReport, clean},
     render::{Completer, EditedScene, ViewFiles, Written},
     scene::{Scene, Stage, WriteLock},
     segment::SegmentReport,
-    suite::{SceneEntry, SceneList, SceneResult, Seconds, Shard, ShardChoice},
 };
 use tid3r_weights_convert::Places;
 
@@ -44,7 +40,7 @@ pub(super) struct Run {
     #[arg(short, long, value_name = "SCENE")]
     output: PathBuf,
     #[command(flatten)]
-    many: Many,
+    many: list::Many,
     /// Folder of all weights, with one for each network, instead of that which TID3R_MODELS names
     #[arg(long, value_name = "FOLDER")]
     weights_dir: Option<PathBuf>,
@@ -64,21 +60,6 @@ pub(super) struct Run {
     edits: Edits,
     #[command(flatten)]
     render: render::Options,
-}
-
-/// Many scenes.
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Lists of scenes")]
-struct Many {
-    /// Make and measure the scenes of this list, a TOML file (see below)
-    #[arg(long, value_name = "LIST", conflicts_with_all = ["photos", "edits", "remove"])]
-    manifest: Option<PathBuf>,
-    /// Which share of the scenes this process takes: I/N, or auto for what Slurm or Kubernetes says
-    #[arg(long, value_name = "SHARE", requires = "manifest")]
-    shard: Option<ShardChoice>,
-    /// Refine the cameras of test views by their photos
-    #[arg(long, requires = "manifest")]
-    refine_pose: bool,
 }
 
 const AFTER_HELP: &str = "Examples:\n  \
@@ -229,42 +210,6 @@ impl Run {
         print(&report)
     }
 
-    fn run_list(
-        &self,
-        list: &Path,
-        places: &Places,
-        completer: &dyn Completer,
-        terminal: &Terminal,
-    ) -> Result<()> {
-        let scenes = SceneList::read(list)?;
-        let (splats, references) = self.render.appearance();
-        let suite = Suite {
-            folder: self.output.clone(),
-            shard: self
-                .many
-                .shard
-                .map_or(Ok(Shard::WHOLE), ShardChoice::resolve)?,
-            force: self.force,
-            places,
-            reconstruct: &self.reconstruct,
-            clean: &self.clean,
-            segment: &self.segment,
-            completer,
-            splats,
-            references,
-            perceptual: &Perceptual::find_those_there(places)?,
-            refine_poses: self.many.refine_pose,
-        };
-        let of_photos = |entry: &SceneEntry, folder: &Path, _: &dyn Progress| {
-            let photos = self.reconstruct.of(entry.photos.clone());
-            let folder = folder.join("scene");
-            let report = self.run_one(photos, &folder, places, completer, terminal)?;
-            Ok(report.as_result(&entry.name))
-        };
-        let results = suite.run(&scenes, &of_photos, terminal)?;
-        evaluate::report(&results, false, self.json)
-    }
-
     fn run_one(
         &self,
         photos: reconstruct::Options,
@@ -318,32 +263,6 @@ impl Run {
             points,
             overviews: ["contact_sheet.png", "top_down.png"].map(|file| scene.folder().join(file)),
         })
-    }
-}
-
-impl Report {
-    /// The same as the result of a scene without a truth.
-    fn as_result(&self, scene: &str) -> SceneResult {
-        let photos = self.reconstruct["photos"].as_array().map_or(0, Vec::len);
-        let seconds = |name: &str| -> f64 {
-            let steps = self.steps.iter().filter(|step| step.name == name);
-            steps.map(|step| step.seconds).sum()
-        };
-        SceneResult {
-            scene: scene.into(),
-            recipe: String::new(),
-            generator: concat!("tid3r ", env!("CARGO_PKG_VERSION")).into(),
-            photos,
-            placed: self.clean.photos.len(),
-            tests: self.views.len(),
-            rows: BTreeMap::new(),
-            seconds: Seconds {
-                reconstruct: seconds("reconstruct") + seconds("clean"),
-                segment: seconds("segment"),
-                render: seconds("render"),
-            },
-            notes: Vec::new(),
-        }
     }
 }
 
