@@ -12,7 +12,8 @@ const EXAMPLES: &str = "Examples:
   tid3r export room -o room.ply                          the cloud
   tid3r export room -o chair.ply --only armchair,7       some of its instances
   tid3r export room -o parts --format instances          a file for each
-  tid3r export room -o room.glb                          for Blender, three.js, a browser
+  tid3r export room -o room.glb                          for Blender, three.js
+  tid3r export room -o room.html                         to look at, in any browser
   tid3r export room -o room.splats.ply                   for a splat viewer
   tid3r export room -o colmap --format colmap            for COLMAP, gsplat and all that read it
   tid3r export room -o data/transforms.json --depth      for nerfstudio
@@ -57,7 +58,7 @@ impl Export {
             return Err(Error::file(
                 &self.output,
                 "does not say what is to be written",
-                "give a name that ends in .ply, .splats.ply, .glb, transforms.json or cameras.json, or --format",
+                "give a name that ends in .ply, .splats.ply, .glb, .html, transforms.json or cameras.json, or --format",
             )
             .into());
         };

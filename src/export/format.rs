@@ -12,6 +12,8 @@ pub enum Format {
     Splats,
     /// Points, a node for each instance, and cameras (any .glb); y is up
     Glb,
+    /// One page to look at the scene with any browser, without tid3r and offline (any .html)
+    Html,
     /// A folder with images/ and a binary COLMAP model in sparse/0/
     Colmap,
     /// The same with a model as text
@@ -32,6 +34,7 @@ impl Format {
             (".splats.ply", Self::Splats),
             (".ply", Self::Ply),
             (".glb", Self::Glb),
+            (".html", Self::Html),
             ("transforms.json", Self::Transforms),
             ("cameras.json", Self::Cameras),
         ];
@@ -52,9 +55,9 @@ impl Format {
         matches!(self, Self::Colmap | Self::ColmapText | Self::Transforms)
     }
 
-    /// Whether points are what it is of, or are in it.
+    /// Whether it can be of some instances only.
     pub(super) fn is_of_points(self) -> bool {
-        !matches!(self, Self::Cameras | Self::Depth)
+        !matches!(self, Self::Html | Self::Cameras | Self::Depth)
     }
 }
 
@@ -76,6 +79,7 @@ mod tests {
             ("a/room.PLY", Some(Format::Ply)),
             ("room.splats.ply", Some(Format::Splats)),
             ("room.glb", Some(Format::Glb)),
+            ("room.html", Some(Format::Html)),
             ("data/transforms.json", Some(Format::Transforms)),
             ("room_cameras.json", Some(Format::Cameras)),
             ("room.json", None),

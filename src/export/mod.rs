@@ -64,6 +64,7 @@ pub fn export(
         Format::Ply => clouds::write_ply(scene, &contents()?, output),
         Format::Instances => clouds::write_instances(scene, &contents()?, output),
         Format::Glb => clouds::write_glb(scene, &contents()?, output),
+        Format::Html => crate::viewer::offline::write(scene, output),
         Format::Splats => splats::write(scene, &contents()?, output),
         Format::Colmap | Format::ColmapText => {
             colmap::write(scene, &contents()?, format, output, params)

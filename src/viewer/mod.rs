@@ -4,13 +4,17 @@
 //! - `session`: the scene that is open, as its edits left it; every change goes through [`crate::edit`]
 //! - `action`: what the page asks to be changed
 //! - `jobs`: renderings, one at a time, on a thread of their own; `gallery`: what came of them
+//! - `offline`: the page with a scene in it, as one file
 //! - `server`: HTTP, and who may speak to it; all that is asynchronous is in there
 //! - `page/`: HTML, CSS and JavaScript modules, which are part of the binary
 
 mod action;
+mod assets;
 mod description;
 mod gallery;
 mod jobs;
+pub(crate) mod offline;
+mod photo;
 mod points;
 mod server;
 mod session;

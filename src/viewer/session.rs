@@ -128,7 +128,11 @@ impl Session {
 }
 
 impl Snapshot {
-    fn read(scene: Scene) -> Result<Self> {
+    /// Reads a scene.
+    ///
+    /// # Errors
+    /// When a file is damaged.
+    pub(super) fn read(scene: Scene) -> Result<Self> {
         match EditList::load(&scene) {
             Ok(list) => {
                 let frames = scene.frames(Role::Input)?;

@@ -311,3 +311,24 @@ fn what_means_nothing_is_refused() {
     let message = place.fail("export scene -o data --format colmap");
     assert!(message.contains("--no-photos"), "{message}");
 }
+
+#[test]
+fn a_page_to_look_at_has_everything_in_it() {
+    let place = Place::with_scene();
+    let [red, _] = place.boxes();
+    place.run(&format!("instances rename scene {red} </script>"));
+    let said = place.run("export scene -o room.html");
+    assert!(said.contains("points and 5 photos"), "{said}");
+    let page = fs::read_to_string(place.path("room.html")).unwrap();
+    assert!(page.starts_with("<!doctype html>") && page.ends_with("</html>\n"));
+    assert!(!page.contains("src=\"") && !page.contains(&*place.folder().to_string_lossy()));
+    let kept = page.split("id=\"kept\">").nth(1).unwrap();
+    let kept: Value = serde_json::from_str(kept.split("</script>").next().unwrap()).unwrap();
+    let names = kept["scene"]["instances"].as_array().unwrap();
+    assert!(names.iter().any(|one| one["name"] == "</script>"));
+    assert!(
+        place
+            .fail("export scene -o room.html --only 1")
+            .contains("--only means nothing")
+    );
+}

@@ -1,4 +1,4 @@
-// The server.
+// The server; or, in a page that was exported, what it would have said.
 
 /** What the server said it could not do. */
 export class Refusal extends Error {
@@ -23,10 +23,31 @@ async function ask(path, options) {
   throw new Refusal(response.status, problem ?? response.statusText, remedy ?? "reload the page");
 }
 
+const kept = document.querySelector("#kept");
+/** What a page that was exported brings along. @type {{scene: any, photos: string[]} | null} */
+const own = kept && JSON.parse(kept.textContent ?? "");
+/** Whether there is no server. */
+export const offline = own !== null;
+
 /** @param {string} path */
 export const get = async (path) => (await ask(path)).json();
 /** @param {string} path @param {AbortSignal} [signal] */
 export const getBytes = async (path, signal) => (await ask(path, { signal })).arrayBuffer();
+
+export const getScene = async () => own?.scene ?? get("/api/scene");
+
+/** The points of a chunk. @param {string} version @param {number} chunk @param {AbortSignal} signal */
+export async function getChunk(version, chunk, signal) {
+  if (!offline) return getBytes(`/api/cloud/${version}/${chunk}`, signal);
+  const text = document.querySelectorAll("script.cloud")[chunk].textContent ?? "";
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  // The picture fills meanwhile.
+  await new Promise((resolve) => setTimeout(resolve));
+  return bytes.buffer;
+}
+
+/** Where a photo is. @param {string | undefined} version @param {number} index */
+export const photoAddress = (version, index) => own?.photos[index] ?? `/api/photos/${version}/${index}`;
 /** @param {string} path @param {unknown} content @param {string} [method] */
 export async function send(path, content = null, method = "POST") {
   const headers = { "Content-Type": "application/json" };

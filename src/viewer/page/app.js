@@ -1,6 +1,6 @@
 // The page: puts its parts together.
 
-import { get } from "./api.js";
+import { getScene, offline } from "./api.js";
 import { View } from "./camera.js";
 import { Controls } from "./controls.js";
 import { complain, el, find, icon, readable } from "./dom.js";
@@ -86,7 +86,7 @@ function drawBar(renderer) {
   const hint = state.busy ? "Editing…"
     : state.tool === "lasso" ? (one ? `Draw around a part of ${one.name}` : "Select an object first")
       : state.tool === "move" ? "Drag an object along the floor"
-        : state.mode === "top" && one ? `Drag ${one.name} to move it` : "";
+        : state.mode === "top" && one && !scene?.not_editable ? `Drag ${one.name} to move it` : "";
   find("#hint").hidden = hint === "";
   find("#hint").textContent = hint;
   renderer.invalidate();
@@ -120,9 +120,10 @@ async function run() {
 
   listen("scene", () => {
     const { scene } = state;
+    if (!scene) return;
     document.title = `${scene.name} · tid3r`;
     find("#name").textContent = scene.name;
-    find("#name").title = scene.folder;
+    find("#name").title = scene.folder ?? "";
     find("#count").textContent = `${readable(scene.points.count)} points`;
     view.adopt(scene);
     fillStrip(view, renderer);
@@ -146,17 +147,17 @@ async function run() {
   requestAnimationFrame(walk);
   // The command line may have edited meanwhile.
   addEventListener("focus", async () => {
-    if (state.busy || !state.scene) return;
-    const scene = await get("/api/scene").catch(() => null);
+    if (state.busy || !state.scene || offline) return;
+    const scene = await getScene().catch(() => null);
     if (scene && scene.version !== state.scene.version && !state.busy) setScene(scene);
   });
 
   try {
-    const scene = await get("/api/scene");
+    const scene = await getScene();
     view.home(scene);
     view.flight = null;
     setScene(scene);
-    await start(view);
+    if (!offline) await start(view);
   } catch (error) {
     const { problem, remedy } = /** @type {any} */ (error);
     if (!problem) throw error;

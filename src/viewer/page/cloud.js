@@ -1,6 +1,6 @@
 // The points on the graphics card, as they arrive.
 
-import { getBytes } from "./api.js";
+import { getChunk } from "./api.js";
 import { state, tell } from "./store.js";
 
 /** How many chunks are asked for ahead of the one that is waited for. */
@@ -40,7 +40,7 @@ export class Cloud {
     /** @type {Promise<ArrayBuffer>[]} */
     const asked = [];
     const ask = (/** @type {number} */ k) => {
-      asked[k] = getBytes(`/api/cloud/${scene.version}/${k}`, signal);
+      asked[k] = getChunk(scene.version, k, signal);
       asked[k].catch(() => {});
     };
     try {

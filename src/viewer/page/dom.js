@@ -10,7 +10,7 @@ export function el(name, attributes = {}, ...children) {
     else if (value === true) element.setAttribute(key, "");
     else if (value !== false && value !== null && value !== undefined) element.setAttribute(key, String(value));
   }
-  element.append(...children.filter((child) => child !== null && child !== undefined && child !== false && child !== ""));
+  element.append(...children.filter((child) => child instanceof Node || Boolean(child)).map((child) => /** @type {Node | string} */ (child)));
   return element;
 }
 

@@ -1,13 +1,13 @@
 // Changes of the scene: the page asks, the server makes them, and says what the scene is then.
 
-import { send } from "./api.js";
+import { offline, send } from "./api.js";
 import { complain } from "./dom.js";
 import { selection, setScene, state, tell } from "./store.js";
 
 /** Makes a change; whether it was made. One at a time.
  * @param {Record<string, unknown>} action */
 export async function change(action) {
-  if (state.busy) return false;
+  if (state.busy || offline) return false;
   state.busy = true;
   tell("busy");
   try {

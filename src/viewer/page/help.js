@@ -64,7 +64,7 @@ export function listenToKeys(view, controls) {
   const table = keys(view);
   addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
-    if (target.closest("input:not([type=range]), select, textarea, dialog[open]")) return;
+    if (find("dialog[open]") || target.closest("input:not([type=range]), select, textarea")) return;
     const key = event.key.toLowerCase();
     const command = event.ctrlKey || event.metaKey;
     const shift = event.shiftKey && (command || /^[a-z]$/.test(key));

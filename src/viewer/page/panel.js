@@ -1,6 +1,7 @@
 // The side panel: objects, what can be done to them, and what has been done.
 
 import * as edits from "./edits.js";
+import { offline } from "./api.js";
 import { el, find, icon, readable } from "./dom.js";
 import { instance, isShown, select, selection, state, tell } from "./store.js";
 
@@ -71,8 +72,8 @@ export function fillObjects(placing, view) {
     el("button", { class: "wide", onclick: showAll }, "Show everything");
   const link = (/** @type {string} */ format, /** @type {string} */ text) =>
     el("a", { class: "button", href: `/api/export/${format}`, download: "" }, text);
-  const exports = el("details", { class: "exports" }, el("summary", {}, "Export"),
-    el("div", { class: "actions" }, link("ply", "Points (PLY)"), link("glb", "Model (GLB)"), link("cameras", "Cameras")));
+  const exports = el("details", { class: "exports online" }, el("summary", {}, "Export"),
+    el("div", { class: "actions" }, link("ply", "Points (PLY)"), link("glb", "Model (GLB)"), link("html", "Page (HTML)"), link("cameras", "Cameras")));
   const scrolled = find("#objects .list")?.scrollTop ?? 0;
   find("#objects").replaceChildren(card(placing, view) || el("p", { class: "quiet-note" },
     "Click an object in the room or in this list. With Shift, several."), search, ...(nothing ? [nothing] : [list]), ...(partly ? [partly] : []), exports);
@@ -90,7 +91,7 @@ function card(placing, view) {
     ? el("h2", {}, `${chosen.length} objects`)
     : el("form", { class: "naming", onsubmit: (/** @type {Event} */ event) => { event.preventDefault(); find("#rename").blur(); } },
       swatch(one.colour),
-      el("input", { id: "rename", value: one.name, "aria-label": "Name", autocomplete: "off", maxlength: 80,
+      el("input", { id: "rename", value: one.name, readonly: offline, "aria-label": "Name", autocomplete: "off", maxlength: 80,
         onchange: (/** @type {any} */ event) => event.target.value.trim() !== one.name && rename(one, event.target) }));
   const facts = chosen.length > 1
     ? el("p", { class: "facts" }, chosen.map(({ name }) => name).join(", "))
@@ -102,7 +103,7 @@ function card(placing, view) {
       el("dt", {}, "Photos"), el("dd", { class: "links" }, ...one.photos.map((name) => el("button", { class: "link",
         title: "Stand there", onclick: () => stand(view, name) }, name))));
   const action = (/** @type {string} */ id, /** @type {string} */ text, /** @type {() => void} */ onclick, key = "") =>
-    el("button", { id: `do-${id}`, onclick, title: key && `${text} (${key})`, disabled: state.busy }, text);
+    el("button", { id: `do-${id}`, onclick, class: ["hide", "isolate", "look"].includes(id) ? "" : "online", title: key && `${text} (${key})`, disabled: state.busy }, text);
   return el("div", { class: "card" }, head, facts,
     el("div", { class: "actions" },
       action("hide", chosen.every(({ id }) => isShown(id)) ? "Hide" : "Show", () => toggleHidden(), "H"),
@@ -129,7 +130,7 @@ function stand(view, name) {
 
 /** @param {import("./store.js").Instance} one */
 function recolouring(one) {
-  return el("label", { class: "button" }, "Recolour",
+  return el("label", { class: "button online" }, "Recolour",
     el("input", { type: "color", id: "colour", value: hex(one.mean_colour), "aria-label": "New colour", disabled: state.busy,
       onchange: (/** @type {any} */ event) => edits.recolour(event.target.value) }));
 }
@@ -151,7 +152,7 @@ function more(one, placing) {
   };
   const split = (/** @type {string} */ id, /** @type {string} */ text, /** @type {() => void} */ onclick) =>
     el("button", { id: `split-${id}`, onclick, disabled: state.busy }, text);
-  return el("details", { open: opened, ontoggle: (/** @type {any} */ event) => { opened = event.target.open; } },
+  return el("details", { class: "online", open: opened, ontoggle: (/** @type {any} */ event) => { opened = event.target.open; } },
     el("summary", {}, "Turn, scale, split"),
     slider("turn", "Turn", { min: -180, max: 180, step: 1, value: 0 }, (turn_degrees) => ({ turn_degrees }), (v) => `${v}°`),
     slider("scale", "Scale", { min: -1, max: 1, step: 0.01, value: 0 }, (v) => ({ scale: Number((3 ** v).toFixed(3)) }),

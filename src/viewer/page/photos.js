@@ -1,11 +1,11 @@
 // The photo strip, and photos large, in which objects can be picked.
 
-import { getBytes } from "./api.js";
+import { getBytes, photoAddress } from "./api.js";
 import { complain, el, find, icon } from "./dom.js";
 import { instance, select, state } from "./store.js";
 
 /** @param {number} index */
-export const address = (index) => `/api/photos/${state.scene?.version}/${index}`;
+export const address = (index) => photoAddress(state.scene?.version, index);
 
 /** Fills the strip. Its pictures go into the cameras of the 3D view, too.
  * @param {import("./camera.js").View} view @param {import("./renderer.js").Renderer} renderer */
@@ -22,13 +22,14 @@ export function fillStrip(view, renderer) {
     return el("figure", {},
       el("button", { class: "thumb", title: `Stand where ${name} was taken`, "aria-label": `Stand at photo ${name}`,
         onclick: () => view.standAt(state.scene?.photos[index].camera ?? camera) }, image, el("span", {}, name)),
-      el("button", { class: "tool enlarge", title: "Pick in the photo", "aria-label": `Pick in photo ${name}`,
+      el("button", { class: "tool enlarge online", title: "Pick in the photo", "aria-label": `Pick in photo ${name}`,
         onclick: () => enlarge(index).catch(complain) }, icon("eye")));
   }));
 }
 
 /** Shows a photo large; a click in it selects what is there. @param {number} index */
 async function enlarge(index) {
+  if (!state.scene) return;
   const { photos, version } = state.scene;
   const { name, camera } = photos[index];
   const { width, height } = camera.intrinsics;

@@ -1,6 +1,7 @@
 // Draws the room: points, cameras, boxes; and knows which instance is where.
 
 import { Cloud } from "./cloud.js";
+import { allocate, lineArray, program, target } from "./gl.js";
 import * as m from "./math.js";
 import * as shaders from "./shaders.js";
 import { isShown, selection, state } from "./store.js";
@@ -134,7 +135,7 @@ export class Renderer {
     gl.activeTexture(gl.TEXTURE0);
   }
 
-  /** @param {Program} program @param {m.Mat4} world @param {m.Mat4} projection @param {m.Lens} lens
+  /** @param {import("./gl.js").Program} program @param {m.Mat4} world @param {m.Mat4} projection @param {m.Lens} lens
    * @param {number} count */
   drawPoints({ program, uniforms }, world, projection, lens, count) {
     const { gl, cloud } = this;
@@ -278,6 +279,7 @@ export class Renderer {
       gl.bindTexture(gl.TEXTURE_2D, texture);
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     }
+    /** @type {number[]} */
     const segments = [];
     for (const { camera } of photos) {
       if (camera === stands) continue;
@@ -290,6 +292,7 @@ export class Renderer {
 
   /** The boxes of what is selected, where they are carried to. @param {m.Mat4} world @param {m.Mat4} projection */
   drawBoxes(world, projection) {
+    /** @type {number[]} */
     const segments = [];
     for (const one of selection()) {
       if (!isShown(one.id)) continue;
@@ -329,57 +332,4 @@ function corners({ intrinsics: lens, cam_to_world: rows }, far) {
     m.transform(pose, [((u - lens.cx) / lens.fx) * far, ((v - lens.cy) / lens.fy) * far, far]);
   const [w, h] = [lens.width - 0.5, lens.height - 0.5];
   return [at(-0.5, -0.5), at(w, -0.5), at(w, h), at(-0.5, h)];
-}
-
-/** @typedef {{program: WebGLProgram, uniforms: Record<string, WebGLUniformLocation>}} Program */
-
-/** @param {WebGL2RenderingContext} gl @param {string} vertex @param {string} fragment @returns {Program} */
-function program(gl, vertex, fragment) {
-  const program = gl.createProgram();
-  for (const [kind, source] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader) ?? "");
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) ?? "");
-  const uniforms = {};
-  for (let k = 0; k < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); k++) {
-    const { name } = gl.getActiveUniform(program, k);
-    uniforms[name] = gl.getUniformLocation(program, name);
-  }
-  return { program, uniforms };
-}
-
-/** @param {WebGL2RenderingContext} gl */
-function lineArray(gl) {
-  const [array, buffer] = [gl.createVertexArray(), gl.createBuffer()];
-  gl.bindVertexArray(array);
-  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-  gl.enableVertexAttribArray(0);
-  gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
-  gl.bindVertexArray(null);
-  return { array, buffer };
-}
-
-/** @param {WebGL2RenderingContext} gl */
-const target = (gl) => ({ frame: gl.createFramebuffer(), colour: gl.createTexture(), depth: gl.createTexture(), width: 0 });
-
-/** @param {WebGL2RenderingContext} gl @param {ReturnType<typeof target>} target @param {number} width
- * @param {number} height @param {number} inner @param {number} format @param {number} type */
-function allocate(gl, target, width, height, inner, format, type) {
-  target.width = width;
-  const attach = (/** @type {WebGLTexture} */ texture, /** @type {number} */ point, /** @type {number[]} */ [i, f, t]) => {
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texImage2D(gl.TEXTURE_2D, 0, i, width, height, 0, f, t, null);
-    for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, point, gl.TEXTURE_2D, texture, 0);
-  };
-  gl.activeTexture(gl.TEXTURE0);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, target.frame);
-  attach(target.colour, gl.COLOR_ATTACHMENT0, [inner, format, type]);
-  attach(target.depth, gl.DEPTH_ATTACHMENT, [gl.DEPTH_COMPONENT24, gl.DEPTH_COMPONENT, gl.UNSIGNED_INT]);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
 }

@@ -51,6 +51,7 @@ async function news(now) {
 
 /** Adds the current view to the path. */
 export function addKey() {
+  if (!find("#ask")) return;
   keys.push(view.camera());
   find("#from").value = "path";
   choose();
@@ -58,7 +59,7 @@ export function addKey() {
 
 /** What the form asks for. */
 function request() {
-  const from = find("#from").value;
+  const from = /** @type {"view" | "photo" | "path" | "orbit"} */ (find("#from").value);
   const number = (/** @type {string} */ id) => Math.round(Number(find(id).value) || 0);
   const cameras = {
     view: () => ({ view: view.camera() }),
@@ -218,7 +219,7 @@ function show(entry, views, k) {
     line.style.left = `${share}%`;
   };
   const sources = el("select", { "aria-label": "Compare with", onchange: (/** @type {any} */ event) => {
-    before.src = event.target.value === "photo" ? address(photo) : picture(entry, name, "projection");
+    before.src = event.target.value === "photo" ? address(photo ?? 0) : picture(entry, name, "projection");
   } }, el("option", { value: "projection" }, "The points alone"),
     photo !== undefined && photo < (state.scene?.photos.length ?? 0) && el("option", { value: "photo" }, "The photo"));
   const to = (/** @type {number} */ next) => el("button", { disabled: !views[next], "aria-label": next < k ? "Previous" : "Next",
@@ -233,5 +234,6 @@ function show(entry, views, k) {
     el("footer", {}, el("label", { class: "field" }, el("span", {}, "Left"), sources), el("span", { class: "space" }),
       views.length > 1 && to(k - 1), views.length > 1 && to(k + 1),
       el("a", { class: "button", href: picture(entry, name, "completed"), download: `${name}.png` }, "Download")));
-  if (!dialog.open) dialog.showModal();
+  if (dialog.open) dialog.querySelector(".compare input").focus();
+  else dialog.showModal();
 }

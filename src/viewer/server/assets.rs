@@ -1,36 +1,10 @@
-//! The page's own files.
+//! The page's own files, as answers.
 
-use super::answer::{Answer, Failure};
+use super::{
+    super::assets::ASSETS,
+    answer::{Answer, Failure},
+};
 use axum::{http::header, response::IntoResponse};
-
-macro_rules! assets {
-    ($($name:literal),* $(,)?) => {
-        &[$(($name, include_str!(concat!("../page/", $name)))),*]
-    };
-}
-
-const ASSETS: &[(&str, &str)] = assets![
-    "index.html",
-    "style.css",
-    "icon.svg",
-    "api.js",
-    "app.js",
-    "camera.js",
-    "cloud.js",
-    "controls.js",
-    "dom.js",
-    "edits.js",
-    "help.js",
-    "lasso.js",
-    "math.js",
-    "panel.js",
-    "photos.js",
-    "placing.js",
-    "renderer.js",
-    "renders.js",
-    "shaders.js",
-    "store.js",
-];
 
 /// One of the page's files.
 pub(super) fn asset(name: &str) -> Answer {

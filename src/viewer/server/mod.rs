@@ -46,6 +46,8 @@ struct Shared {
     ending: watch::Sender<bool>,
 }
 
+/// So many answers are worked on at a time.
+const THREADS: usize = 8;
 /// Answers that are under way get this long once the server ends.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -73,6 +75,7 @@ pub fn serve(
     });
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
+        .max_blocking_threads(THREADS)
         .build()
         .map_err(|error| cannot("start the server", &error))?;
     let served = runtime.block_on(run(&shared, address, ready));

@@ -6,6 +6,7 @@ use super::{
         description::Description,
         gallery::{Picture, VIDEO},
         jobs::{RenderRequest, render::choices},
+        photo::jpeg,
         session::Snapshot,
     },
     Shared,
@@ -25,7 +26,6 @@ use axum::{
     response::IntoResponse,
     routing::{get, post},
 };
-use image::codecs::jpeg::JpegEncoder;
 use serde_json::json;
 use std::sync::Arc;
 
@@ -106,19 +106,11 @@ async fn chunk(State(shared): Common, Path((version, chunk)): Path<(String, Stri
 }
 
 async fn photo(State(shared): Common, Path((version, photo)): Path<(String, String)>) -> Answer {
-    const QUALITY: u8 = 92;
     blocking(move || {
         let snapshot = current(&shared, &version)?;
         let photo = snapshot.shown.edited.photos.get(number(&photo)?);
         let photo = photo.ok_or_else(|| Failure::missing("such photo"))?;
-        let mut bytes = Vec::new();
-        JpegEncoder::new_with_quality(&mut bytes, QUALITY)
-            .encode_image(photo)
-            .map_err(|error| {
-                let problem = format!("the photo cannot be encoded ({error})");
-                Error::request(problem, "report this as a defect")
-            })?;
-        Ok(lasting("image/jpeg", bytes))
+        Ok(lasting("image/jpeg", jpeg(photo)?))
     })
     .await
 }
@@ -191,6 +183,7 @@ async fn export(State(shared): Common, Path(format): Path<String>) -> Answer {
         let (format, name) = match &*format {
             "ply" => (Format::Ply, "scene.ply"),
             "glb" => (Format::Glb, "scene.glb"),
+            "html" => (Format::Html, "scene.html"),
             "cameras" => (Format::Cameras, "cameras.json"),
             _ => return Err(Failure::missing("such format")),
         };
