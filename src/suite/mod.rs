@@ -1,6 +1,6 @@
 //! Many scenes, each made, measured and written down by itself: data sets, and the paper's tables.
 //!
-//! A [`SceneList`] names recordings and how photos of them are chosen ([`choose`]). Each scene comes to a [`SceneResult`] in
+//! A [`SceneList`] names recordings and how photos of them are chosen ([`choose()`]). Each scene comes to a [`SceneResult`] in
 //! a folder of its own, so that processes can divide the scenes among them ([`Shard`]) and a list that was stopped goes on
 //! where it was; [`Tables`] are made of whatever results there are.
 
