@@ -80,7 +80,8 @@ class Browser:
         return self.ask("POST", "/element", {"using": "css selector", "value": selector})[ELEMENT]
 
     def click(self, selector):
-        self.ask("POST", f"/element/{self.find(selector)}/click")
+        """Waits for the element and clicks it; once more where the page put another in its place in between."""
+        self.wait(lambda: self.ask("POST", f"/element/{self.find(selector)}/click") is None, f"{selector} to click")
 
     def choose(self, selector, value):
         """Sets a form control as a person would have."""
