@@ -27,11 +27,11 @@ impl Neck {
         Ok(Self {
             stages: [
                 (
-                    Conv2d::without_bias(inputs, outputs, 1, &weights.pp(0))?,
+                    Conv2d::without_bias(inputs, outputs, 1, &weights.pp(0))?.laid_out()?,
                     norm(1)?,
                 ),
                 (
-                    Conv2d::without_bias(outputs, outputs, 3, &weights.pp(2))?,
+                    Conv2d::without_bias(outputs, outputs, 3, &weights.pp(2))?.laid_out()?,
                     norm(3)?,
                 ),
             ],

@@ -11,7 +11,8 @@ use crate::{Parameter, Weights};
 
 /// A linear map of each group of channels for itself, without a bias: a 1x1 convolution in groups.
 ///
-/// On a CPU, weights are laid out when [`Self::forward`] is first called, and shared by clones.
+/// On a CPU, weights are laid out by [`Self::laid_out`] or when [`Self::forward`] is first called, and shared by
+/// clones.
 #[derive(Clone)]
 pub struct GroupedLinear {
     /// (channels, channels of a group, 1, 1).
@@ -66,9 +67,21 @@ impl GroupedLinear {
         }
     }
 
-    fn by_groups(&self, x: &Tensor, weight: &[f32]) -> Result<Tensor> {
-        let channels = self.weight.shape()[0];
-        let group = channels / self.groups;
+    /// The same map, its weights laid out now; see [`Conv2d::laid_out`](super::Conv2d::laid_out).
+    ///
+    /// # Errors
+    ///
+    /// As there.
+    pub fn laid_out(self) -> Result<Self> {
+        if let Some(weight) = self.weight.host().filter(|weight| !weight.is_empty()) {
+            self.prepared(weight)?;
+        }
+        Ok(self)
+    }
+
+    /// The weights of each group, laid out the first time.
+    fn prepared(&self, weight: &[f32]) -> Result<&[PackedFactor]> {
+        let group = self.weight.shape()[0] / self.groups;
         let pack = |weight| {
             let weight = Matrix::new(weight, group, group, group)?;
             PackedFactor::pack(Factor::Transposed(weight))
@@ -80,7 +93,13 @@ impl GroupedLinear {
                 .collect::<Result<_>>()
         };
         let factors = (self.prepared).get_or_init(|| prepare().map_err(|e| e.to_string()));
-        let factors = factors.as_ref().map_err(|e| Error::Msg(e.clone()))?;
+        factors.as_deref().map_err(|e| Error::Msg(e.clone()))
+    }
+
+    fn by_groups(&self, x: &Tensor, weight: &[f32]) -> Result<Tensor> {
+        let channels = self.weight.shape()[0];
+        let group = channels / self.groups;
+        let factors = self.prepared(weight)?;
         let _timer = Timer::start(Operation::Linear, x.elem_count() * group);
         let contiguous = x.contiguous()?;
         let host = HostTensor::new(&contiguous)?;

@@ -124,6 +124,15 @@ impl Parameter {
         }
     }
 
+    /// Whether there are values, and on the CPU.
+    pub(crate) fn on_host(&self) -> bool {
+        match &self.values {
+            Values::Single(values) => !values.is_empty(),
+            Values::Mapped { .. } | Values::Rounded(_) | Values::Half(_) => true,
+            Values::Device(_) => false,
+        }
+    }
+
     /// The values, row-major, if they are on the CPU. Those of a large file may have to come into memory, and
     /// others leave it for them: whoever uses them for long asks anew each time.
     pub(crate) fn numbers(&self) -> Option<Numbers<'_>> {

@@ -29,11 +29,11 @@ impl ConvBlock {
     ) -> Result<Self> {
         let conv = Conv2d::without_bias(inputs, outputs, kernel, &weights.pp("conv"))?;
         let norm = BatchNorm2d::new(outputs, Self::NORM_EPS, &weights.pp("bn"))?;
+        let conv = (conv.folded(&norm)?)
+            .with_stride(stride)
+            .with_precision(Precision::Fast);
         Ok(Self {
-            conv: conv
-                .folded(&norm)?
-                .with_stride(stride)
-                .with_precision(Precision::Fast),
+            conv: conv.laid_out()?,
         })
     }
 

@@ -143,7 +143,7 @@ impl Branch {
         Ok(Self {
             first: ConvBlock::new(inputs, hidden, 3, 1, &weights.pp(0))?,
             second: ConvBlock::new(hidden, hidden, 3, 1, &weights.pp(1))?,
-            last: Conv2d::new(hidden, outputs, 1, &weights.pp(2))?,
+            last: Conv2d::new(hidden, outputs, 1, &weights.pp(2))?.laid_out()?,
         })
     }
 

@@ -35,10 +35,12 @@ impl LiteMla {
         let aggreg = weights.pp("aggreg").pp(0);
         Ok(Self {
             dim,
-            qkv: Conv2d::without_bias(channels, 3 * inner, 1, &weights.pp("qkv").pp("conv"))?,
-            window: DepthwiseConv2d::without_bias(3 * inner, Self::SCALE, &aggreg.pp(0))?,
-            mix: GroupedLinear::new(3 * inner, 3 * heads, &aggreg.pp(1))?,
-            proj: normed(2 * inner, channels, 1, norm_eps, &weights.pp("proj"))?,
+            qkv: Conv2d::without_bias(channels, 3 * inner, 1, &weights.pp("qkv").pp("conv"))?
+                .laid_out()?,
+            window: DepthwiseConv2d::without_bias(3 * inner, Self::SCALE, &aggreg.pp(0))?
+                .laid_out()?,
+            mix: GroupedLinear::new(3 * inner, 3 * heads, &aggreg.pp(1))?.laid_out()?,
+            proj: normed(2 * inner, channels, (1, 1), norm_eps, &weights.pp("proj"))?,
         })
     }
 

@@ -87,10 +87,7 @@ impl Stage {
         let first = weights.pp(0);
         let main = first.pp("main");
         let halving = match i {
-            0 => {
-                let conv = normed(inputs, outputs, 3, eps, &first)?;
-                Halving::Conv(Box::new(conv.with_stride(2)))
-            }
+            0 => Halving::Conv(Box::new(normed(inputs, outputs, (3, 2), eps, &first)?)),
             1 | 2 => Halving::Fused(Box::new(FusedMbConv::new(halved, eps, &main)?)),
             _ => Halving::Mb(Box::new(MbConv::new(halved, eps, &main)?)),
         };

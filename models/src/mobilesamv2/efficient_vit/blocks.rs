@@ -12,12 +12,15 @@ pub(super) const GELU: Activation = Activation::GeluTanh;
 pub(super) fn normed(
     inputs: usize,
     outputs: usize,
-    kernel: usize,
+    (kernel, stride): (usize, usize),
     eps: f64,
     weights: &Weights,
 ) -> Result<Conv2d> {
     let norm = BatchNorm2d::new(outputs, eps, &weights.pp("norm"))?;
-    Conv2d::without_bias(inputs, outputs, kernel, &weights.pp("conv"))?.folded(&norm)
+    Conv2d::without_bias(inputs, outputs, kernel, &weights.pp("conv"))?
+        .folded(&norm)?
+        .with_stride(stride)
+        .laid_out()
 }
 
 /// Channels and stride of a block.
@@ -70,7 +73,7 @@ impl ResBlock {
     ///
     /// If `weights` lacks a tensor or has it in another shape.
     pub fn new(channels: usize, norm_eps: f64, weights: &Weights) -> Result<Self> {
-        let conv = |name| normed(channels, channels, 3, norm_eps, &weights.pp(name));
+        let conv = |name| normed(channels, channels, (3, 1), norm_eps, &weights.pp(name));
         Ok(Self {
             conv1: conv("conv1")?,
             conv2: conv("conv2")?,
@@ -109,8 +112,8 @@ impl FusedMbConv {
         } = sizes;
         let (spatial, point) = (weights.pp("spatial_conv"), weights.pp("point_conv"));
         Ok(Self {
-            spatial_conv: normed(inputs, hidden, 3, norm_eps, &spatial)?.with_stride(stride),
-            point_conv: normed(hidden, outputs, 1, norm_eps, &point)?,
+            spatial_conv: normed(inputs, hidden, (3, stride), norm_eps, &spatial)?,
+            point_conv: normed(hidden, outputs, (1, 1), norm_eps, &point)?,
         })
     }
 
@@ -160,9 +163,11 @@ impl MbConv {
         } = sizes;
         let conv = |name| weights.pp(name).pp("conv");
         Ok(Self {
-            inverted_conv: Conv2d::new(inputs, hidden, 1, &conv("inverted_conv"))?,
-            depth_conv: DepthwiseConv2d::new(hidden, 3, &conv("depth_conv"))?.with_stride(stride),
-            point_conv: normed(hidden, outputs, 1, norm_eps, &weights.pp("point_conv"))?,
+            inverted_conv: Conv2d::new(inputs, hidden, 1, &conv("inverted_conv"))?.laid_out()?,
+            depth_conv: DepthwiseConv2d::new(hidden, 3, &conv("depth_conv"))?
+                .with_stride(stride)
+                .laid_out()?,
+            point_conv: normed(hidden, outputs, (1, 1), norm_eps, &weights.pp("point_conv"))?,
         })
     }
 

@@ -28,7 +28,13 @@ impl Neck {
         let (channels, eps) = (config.head_width, config.norm_eps);
         let input = |i: usize| {
             let weights = weights.pp("input_ops").pp(i).pp("op_list").pp(0);
-            normed(config.width_list[STAGES[i]], channels, 1, eps, &weights)
+            normed(
+                config.width_list[STAGES[i]],
+                channels,
+                (1, 1),
+                eps,
+                &weights,
+            )
         };
         let sizes = Sizes::same(channels, config.expand_ratio);
         let middle = |i: usize| {
@@ -44,7 +50,7 @@ impl Neck {
         Ok(Self {
             inputs: [input(0)?, input(1)?, input(2)?],
             middle: (0..config.head_depth).map(middle).collect::<Result<_>>()?,
-            output: Conv2d::new(channels, config.out_dim, 1, &output)?,
+            output: Conv2d::new(channels, config.out_dim, 1, &output)?.laid_out()?,
         })
     }
 

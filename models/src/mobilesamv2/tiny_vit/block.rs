@@ -42,7 +42,7 @@ impl TinyVitBlock {
         let (channels, mlp) = (sizes.channels, weights.pp("mlp"));
         Ok(Self {
             attn: Attention::new(channels, sizes.heads, sizes.window, &weights.pp("attn"))?,
-            local_conv: depthwise_bn(channels, sizes.kernel, &weights.pp("local_conv"))?,
+            local_conv: depthwise_bn(channels, (sizes.kernel, 1), &weights.pp("local_conv"))?,
             norm: LayerNorm::new(channels, NORM_EPS, &mlp.pp("norm"))?,
             mlp: Mlp::new(channels, sizes.hidden, &mlp)?,
         })

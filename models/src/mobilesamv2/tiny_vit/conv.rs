@@ -14,19 +14,30 @@ const NORM_EPS: f64 = 1e-5;
 /// # Errors
 ///
 /// If `weights` lacks a tensor or has it in another shape.
-pub fn conv_bn(inputs: usize, outputs: usize, kernel: usize, weights: &Weights) -> Result<Conv2d> {
+pub fn conv_bn(
+    inputs: usize,
+    outputs: usize,
+    (kernel, stride): (usize, usize),
+    weights: &Weights,
+) -> Result<Conv2d> {
     let norm = BatchNorm2d::new(outputs, NORM_EPS, &weights.pp("bn"))?;
-    Conv2d::without_bias(inputs, outputs, kernel, &weights.pp("c"))?.folded(&norm)
+    Conv2d::without_bias(inputs, outputs, kernel, &weights.pp("c"))?
+        .folded(&norm)?
+        .with_stride(stride)
+        .laid_out()
 }
 
 /// [`conv_bn`] with a kernel for each channel alone.
 pub(super) fn depthwise_bn(
     channels: usize,
-    kernel: usize,
+    (kernel, stride): (usize, usize),
     weights: &Weights,
 ) -> Result<DepthwiseConv2d> {
     let norm = BatchNorm2d::new(channels, NORM_EPS, &weights.pp("bn"))?;
-    DepthwiseConv2d::without_bias(channels, kernel, &weights.pp("c"))?.folded(&norm)
+    DepthwiseConv2d::without_bias(channels, kernel, &weights.pp("c"))?
+        .folded(&norm)?
+        .with_stride(stride)
+        .laid_out()
 }
 
 /// Two 3x3 convolutions with stride 2 and GELU between them.
@@ -44,9 +55,8 @@ impl PatchEmbed {
     ///
     /// If `weights` lacks a tensor or has it in another shape.
     pub fn new(channels: usize, weights: &Weights) -> Result<Self> {
-        let conv = |inputs, outputs, i: usize| -> Result<Conv2d> {
-            Ok(conv_bn(inputs, outputs, 3, &weights.pp("seq").pp(i))?.with_stride(2))
-        };
+        let conv =
+            |inputs, outputs, i: usize| conv_bn(inputs, outputs, (3, 2), &weights.pp("seq").pp(i));
         Ok(Self {
             convs: [
                 conv(Self::COLOURS, channels / 2, 0)?,
@@ -86,9 +96,9 @@ impl MbConv {
     /// If `weights` lacks a tensor or has it in another shape.
     pub fn new(channels: usize, hidden: usize, weights: &Weights) -> Result<Self> {
         Ok(Self {
-            conv1: conv_bn(channels, hidden, 1, &weights.pp("conv1"))?,
-            conv2: depthwise_bn(hidden, 3, &weights.pp("conv2"))?,
-            conv3: conv_bn(hidden, channels, 1, &weights.pp("conv3"))?,
+            conv1: conv_bn(channels, hidden, (1, 1), &weights.pp("conv1"))?,
+            conv2: depthwise_bn(hidden, (3, 1), &weights.pp("conv2"))?,
+            conv3: conv_bn(hidden, channels, (1, 1), &weights.pp("conv3"))?,
             hidden,
         })
     }
@@ -140,11 +150,11 @@ impl PatchMerging {
     ///
     /// If `weights` lacks a tensor or has it in another shape.
     pub fn new(inputs: usize, outputs: usize, weights: &Weights) -> Result<Self> {
-        let conv2 = depthwise_bn(outputs, 3, &weights.pp("conv2"))?;
+        let stride = Self::stride(outputs);
         Ok(Self {
-            conv1: conv_bn(inputs, outputs, 1, &weights.pp("conv1"))?,
-            conv2: conv2.with_stride(Self::stride(outputs)),
-            conv3: conv_bn(outputs, outputs, 1, &weights.pp("conv3"))?,
+            conv1: conv_bn(inputs, outputs, (1, 1), &weights.pp("conv1"))?,
+            conv2: depthwise_bn(outputs, (3, stride), &weights.pp("conv2"))?,
+            conv3: conv_bn(outputs, outputs, (1, 1), &weights.pp("conv3"))?,
         })
     }
 

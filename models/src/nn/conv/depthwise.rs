@@ -98,6 +98,18 @@ impl DepthwiseConv2d {
         })
     }
 
+    /// As [`Conv2d::laid_out`](super::Conv2d::laid_out).
+    ///
+    /// # Errors
+    ///
+    /// As there.
+    pub fn laid_out(self) -> Result<Self> {
+        if self.parameters.on_host() && Depthwise::fits(self.kernel(), self.stride) {
+            self.prepared()?;
+        }
+        Ok(self)
+    }
+
     /// `activation(conv(x))`; `x` is (batch, height, width, channels), the result (batch, strided
     /// height, strided width, channels).
     ///

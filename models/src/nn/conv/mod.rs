@@ -42,8 +42,8 @@ pub enum Precision {
 /// width, channels): channels last.
 ///
 /// On a CPU, Winograd's algorithm is used for 3x3 and 5x5 kernels of stride 1 with at least 32 channels.
-/// It uses the weights as they were read, also if that is in half precision. For other kernels, they are laid out in f32 when [`Self::forward`] is first
-/// called, and shared by clones; that takes as much memory again.
+/// It uses the weights as they were read, also if that is in half precision. For other kernels, they are laid out in f32 by [`Self::laid_out`],
+/// or when [`Self::forward`] is first called, and shared by clones; that takes as much memory again.
 #[derive(Clone)]
 pub struct Conv2d {
     /// The weight is (outputs, inputs, kernel, kernel).
@@ -189,6 +189,21 @@ impl Conv2d {
             prepared: Arc::default(),
             ..*self
         })
+    }
+
+    /// The same convolution, its weights laid out now, if they are on a CPU, instead of when they are first used.
+    ///
+    /// What stays then lies before the images of the first run, not between them, where it would leave those of the
+    /// second no room: memory grows by as much as large images take.
+    ///
+    /// # Errors
+    ///
+    /// If `TID3R_CPU` names no instruction set of this processor.
+    pub fn laid_out(self) -> Result<Self> {
+        if self.parameters.on_host() {
+            self.prepared()?;
+        }
+        Ok(self)
     }
 
     /// `activation(conv(x))`; `x` is (batch, height, width, inputs), the result (batch, strided height,

@@ -73,6 +73,11 @@ impl Parameters {
         self.shape()[0]
     }
 
+    /// Whether there are any, and on the CPU.
+    pub(super) fn on_host(&self) -> bool {
+        self.weight.on_host()
+    }
+
     /// If they are on the CPU.
     pub(super) fn host(&self) -> Option<Folded> {
         let outputs = self.outputs();

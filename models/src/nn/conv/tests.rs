@@ -243,8 +243,18 @@ fn norms_are_folded_without_values() {
     let weights = Weights::names_only();
     let norm = BatchNorm2d::new(4, 1e-5, &weights.pp("norm")).unwrap();
     let conv = Conv2d::without_bias(3, 4, 3, &weights.pp("conv")).unwrap();
-    assert!(conv.folded(&norm).is_ok());
+    assert!(conv.folded(&norm).and_then(Conv2d::laid_out).is_ok());
     assert!(!weights.asked().contains_key("conv.bias"));
+}
+
+#[test]
+fn laying_out_early_changes_nothing() {
+    let late = conv(3, 4, 3);
+    let early = conv(3, 4, 3).laid_out().unwrap();
+    assert!(late.prepared.get().is_none() && early.prepared.get().is_some());
+    let x = image((1, 5, 4, 3));
+    let [late, early] = [late, early].map(|conv| conv.forward(&x, Activation::Silu).unwrap());
+    assert_eq!(error(&early, &late), 0.0);
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use memmap2::MmapMut;
+
 use crate::nn::cpu::shared::prefer_large_pages;
 
 /// A cache line. Buffers are made of these so that vectors never straddle two lines.
@@ -9,8 +11,44 @@ use crate::nn::cpu::shared::prefer_large_pages;
 #[repr(C, align(64))]
 pub(super) struct Line([f32; 16]);
 
-/// What buffers are made of.
-pub(super) type Memory = Vec<Line>;
+/// What a buffer is.
+pub(super) enum Memory {
+    /// Lines on the heap.
+    Lines(Vec<Line>),
+    /// Pages of its own: buffers that are kept must not lie on the heap between images that come and go, or the heap
+    /// grows for want of one place that is large enough for the next.
+    Pages(MmapMut),
+}
+
+impl Memory {
+    /// How many lines there are.
+    fn len(&self) -> usize {
+        match self {
+            Self::Lines(lines) => lines.len(),
+            Self::Pages(pages) => pages.len() / size_of::<Line>(),
+        }
+    }
+
+    pub(super) fn as_ptr(&self) -> *const u8 {
+        match self {
+            Self::Lines(lines) => lines.as_ptr().cast(),
+            Self::Pages(pages) => pages.as_ptr(),
+        }
+    }
+
+    pub(super) fn as_mut_ptr(&mut self) -> *mut u8 {
+        match self {
+            Self::Lines(lines) => lines.as_mut_ptr().cast(),
+            Self::Pages(pages) => pages.as_mut_ptr(),
+        }
+    }
+}
+
+impl Default for Memory {
+    fn default() -> Self {
+        Self::Lines(Vec::new())
+    }
+}
 
 /// Unused buffers; at most [`KEPT`].
 static POOL: Mutex<Vec<Memory>> = Mutex::new(Vec::new());
@@ -29,7 +67,16 @@ pub(super) fn take(len: usize) -> Memory {
         .min_by_key(|&i| pool[i].len());
     let found = best.map(|i| pool.swap_remove(i));
     drop(pool);
-    found.unwrap_or_else(|| zeros(len))
+    found
+        .or_else(|| pages(wanted))
+        .unwrap_or_else(|| zeros(len))
+}
+
+/// Pages for so many lines; `None` where the system gives none.
+fn pages(lines: usize) -> Option<Memory> {
+    let mut pages = MmapMut::map_anon(lines * size_of::<Line>()).ok()?;
+    prefer_large_pages(pages.as_mut_ptr(), pages.len());
+    Some(Memory::Pages(pages))
 }
 
 /// Room for `len` numbers, which are zeros.
@@ -38,7 +85,7 @@ pub(super) fn zeros(len: usize) -> Memory {
     let mut lines = Vec::with_capacity(count);
     prefer_large_pages(lines.as_mut_ptr(), count);
     lines.resize(count, Line([0.0; 16]));
-    lines
+    Memory::Lines(lines)
 }
 
 /// Keeps `memory` for others.
