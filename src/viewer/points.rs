@@ -2,6 +2,7 @@
 
 use crate::scene::Cloud;
 use half::f16;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Bytes of a point: position (3 x f32, scene frame), colour (3 x u8), confidence (u8, its rank), instance (u32),
@@ -22,21 +23,15 @@ impl Points {
     /// all others where they were.
     pub(super) fn new(cloud: &Cloud) -> Self {
         let ranks = ranks(&cloud.confidences);
-        let mut records = Vec::with_capacity(cloud.len() * RECORD);
-        for index in order(cloud.len()) {
-            for x in cloud.positions[index] {
-                records.extend(x.to_le_bytes());
+        let order = Order::new(cloud.len());
+        let mut records = vec![0; cloud.len() * RECORD];
+        let chunks = records.par_chunks_mut(CHUNK * RECORD).enumerate();
+        chunks.for_each(|(chunk, records)| {
+            for (place, record) in records.chunks_exact_mut(RECORD).enumerate() {
+                let index = order.index(chunk * CHUNK + place);
+                record.copy_from_slice(&encoded(cloud, index, ranks[index]));
             }
-            records.extend(cloud.colours[index]);
-            records.push(ranks[index]);
-            records.extend(cloud.instances[index].to_le_bytes());
-            records.extend(f16::from_f32(cloud.radii[index]).to_le_bytes());
-            let photo = u16::try_from(cloud.sources[index].frame).unwrap_or(u16::MAX);
-            records.extend(photo.to_le_bytes());
-            let direction = cloud.directions[index].map(|x| (x * 127.0).round() as i8);
-            records.extend(direction.map(i8::cast_unsigned));
-            records.push(0);
-        }
+        });
         Self { records }
     }
 
@@ -54,33 +49,101 @@ impl Points {
     }
 }
 
-/// The places of points in an order whose every prefix is an even sample of them.
-fn order(count: usize) -> Vec<usize> {
-    let mut keyed: Vec<(u64, usize)> = (0..count)
-        .map(|index| (scattered(index as u64), index))
-        .collect();
-    keyed.sort_unstable();
-    keyed.into_iter().map(|(_, index)| index).collect()
+/// The record of a point.
+fn encoded(cloud: &Cloud, index: usize, rank: u8) -> [u8; RECORD] {
+    let [x, y, z] = cloud.positions[index].map(f32::to_le_bytes);
+    let [r, g, b] = cloud.colours[index];
+    let id = cloud.instances[index].to_le_bytes();
+    let radius = f16::from_f32(cloud.radii[index]).to_le_bytes();
+    let photo = u16::try_from(cloud.sources[index].frame).unwrap_or(u16::MAX);
+    let direction = cloud.directions[index].map(|x| ((x * 127.0).round() as i8).cast_unsigned());
+    let mut record = [0; RECORD];
+    let parts: [&[u8]; 8] = [
+        &x,
+        &y,
+        &z,
+        &[r, g, b, rank],
+        &id,
+        &radius,
+        &photo.to_le_bytes(),
+        &direction,
+    ];
+    let mut rest = &mut record[..];
+    for part in parts {
+        let (place, others) = rest.split_at_mut(part.len());
+        place.copy_from_slice(part);
+        rest = others;
+    }
+    record
 }
 
-/// SplitMix64 (Steele, Lea, Flood 2014): neighbouring numbers become unrelated ones, no two the same.
-fn scattered(number: u64) -> u64 {
-    let mut x = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
+/// The order of points, of which every prefix is an even sample.
+struct Order {
+    count: usize,
+    /// Of the numbers that are permuted: enough for `count`.
+    bits: u32,
 }
 
-/// For each value, the share of values below it, from 0 to 255: confidences have no scale of their own.
+impl Order {
+    fn new(count: usize) -> Self {
+        let bits = count.next_power_of_two().trailing_zeros();
+        Self { count, bits }
+    }
+
+    /// Which point is at a place, each at one. A permutation of more numbers is followed until one of a point
+    /// comes (cycle walking; Black and Rogaway 2002).
+    fn index(&self, place: usize) -> usize {
+        let mut number = place;
+        loop {
+            number = self.scattered(number as u64) as usize;
+            if number < self.count {
+                return number;
+            }
+        }
+    }
+
+    /// A permutation of the numbers of `bits` bits that makes neighbours unrelated: each step, of those of SplitMix64
+    /// (Steele, Lea, Flood 2014), can be undone.
+    fn scattered(&self, number: u64) -> u64 {
+        let mask = (1_u64 << self.bits) - 1;
+        let half = self.bits.div_ceil(2);
+        let mut x = number.wrapping_add(0x9e37_79b9_7f4a_7c15) & mask;
+        for odd in [
+            0xbf58_476d_1ce4_e5b9,
+            0x94d0_49bb_1331_11eb,
+            0xd6e8_feb8_6659_fd93_u64,
+        ] {
+            x ^= x >> half;
+            x = x.wrapping_mul(odd) & mask;
+        }
+        x ^ (x >> half)
+    }
+}
+
+/// For each value, the share of values below it, from 0 to 255: confidences have no scale of their own. Values that
+/// differ by less than a hundredth may count as the same.
 fn ranks(values: &[f32]) -> Vec<u8> {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let below = |value: &f32| sorted.partition_point(|other| other.total_cmp(value).is_lt());
+    let mut below = vec![0_usize; 1 << 16];
+    for &value in values {
+        below[class(value)] += 1;
+    }
+    let mut sum = 0;
+    for count in &mut below {
+        (*count, sum) = (sum, sum + *count);
+    }
     let most = values.len().saturating_sub(1).max(1);
-    values
-        .iter()
-        .map(|value| (below(value) * 255 / most) as u8)
-        .collect()
+    let rank = |&value: &f32| (below[class(value)] * 255 / most) as u8;
+    values.par_iter().map(rank).collect()
+}
+
+/// One of 65536 classes of numbers, in the order of [`f32::total_cmp`].
+fn class(value: f32) -> usize {
+    let bits = value.to_bits();
+    let ordered = match bits >> 31 {
+        0 => bits | 1 << 31,
+        _ => !bits,
+    };
+    (ordered >> 16) as usize
 }
 
 #[cfg(test)]
@@ -152,6 +215,17 @@ mod tests {
     fn ranks_reach_from_0_to_255() {
         assert_eq!(ranks(&[5.0, 1.0, 2000.0]), [127, 0, 255]);
         assert_eq!(ranks(&[1.0, 1.0]), [0, 0]);
+        assert_eq!(ranks(&[-1.0, -2.0, 0.0, f32::INFINITY]), [85, 0, 170, 255]);
         assert!(ranks(&[]).is_empty());
+    }
+
+    #[test]
+    fn an_order_has_every_point_once() {
+        for count in [0, 1, 2, 3, 5, 8, 9, 1000, 1 << 12] {
+            let order = Order::new(count);
+            let mut seen: Vec<usize> = (0..count).map(|place| order.index(place)).collect();
+            seen.sort_unstable();
+            assert!(seen.into_iter().eq(0..count), "{count}");
+        }
     }
 }
