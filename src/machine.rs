@@ -2,6 +2,9 @@
 
 use std::fs;
 
+/// What the program itself takes while a network runs, about.
+pub(crate) const PROGRAM_BYTES: u64 = 60_000_000;
+
 /// Memory that programs can still take without swapping, in bytes; `None` where the system does not
 /// say.
 pub fn available_memory() -> Option<u64> {

@@ -2,7 +2,7 @@
 
 use super::{BenchParams, Load, Size, Source, Trial, failed, made_up};
 use crate::Result;
-use tid3r_models::lpips::{Config, Lpips, Work};
+use tid3r_models::lpips::{Config, Lpips, Memory, Work};
 
 /// The distance of two pictures.
 pub(super) fn distance(
@@ -18,6 +18,7 @@ pub(super) fn distance(
     let (width, height) = size.in_steps_of(1)?;
     let network = Lpips::new(config, &source.weights()?).map_err(failed)?;
     let work = Work::new(config, (height, width)).total();
+    let memory = Memory::new(config, (height, width), source.footprint()?).total();
     let pictures = [
         made_up(&[1, height, width, 3])?,
         made_up(&[1, height, width, 3])?,
@@ -26,6 +27,7 @@ pub(super) fn distance(
         load: Load::of_size(size),
         defined: work,
         computed: work,
+        memory,
         run: Box::new(move || network.forward(&pictures[0], &pictures[1]).map(drop)),
     }])
 }

@@ -24,25 +24,25 @@ pub(super) fn detector(
     let (width, height) = size.in_steps_of(STEP)?;
     let network = Detector::new(config, &source.weights()?).map_err(failed)?;
     let work = detector::Work::new(config, (height, width)).map_err(failed)?;
+    let memory = detector::Memory::new(config, (height, width), params.dtype).map_err(failed)?;
     let image = made_up(&[1, height, width, 3])?;
     Ok(vec![Trial {
         load: Load::of_size(size),
         defined: work.total(),
         computed: work.computed(),
+        memory: memory.total(),
         run: Box::new(move || network.forward(&image, &mut Unobserved).map(drop)),
     }])
 }
 
-/// An encoder that takes so many multiply-adds, on one picture.
-pub(super) fn encoder(
-    encoder: ImageEncoder,
-    (defined, computed): (f64, f64),
-) -> Result<Vec<Trial>> {
+/// An encoder that takes so many multiply-adds and so much memory, on one picture.
+pub(super) fn encoder(encoder: ImageEncoder, work: f64, memory: usize) -> Result<Vec<Trial>> {
     let image = made_up(&[1, ImageEncoder::SIDE, ImageEncoder::SIDE, 3])?;
     Ok(vec![Trial {
         load: Load::of_size(Size::square(ImageEncoder::SIDE)),
-        defined,
-        computed,
+        defined: work,
+        computed: work,
+        memory,
         run: Box::new(move || encoder.forward(&image, &mut Unobserved).map(drop)),
     }])
 }
@@ -60,6 +60,7 @@ pub(super) fn decoder(
     let image = made_up(&[1, height, width, prompts.embed_dim])?;
     let [tall, wide] = prompts.input_image_size;
     let work = decoder::Work::new(config);
+    let (options, footprint) = (decoder::Options::default(), source.footprint()?);
     let counts = match params.boxes.is_empty() {
         true => &BOXES[..],
         false => &params.boxes,
@@ -67,7 +68,9 @@ pub(super) fn decoder(
     let trial = |&count: &u32| {
         let boxes = spread(count, (wide as f64, tall as f64))?;
         let (network, image) = (Rc::clone(&network), image.clone());
+        let memory = decoder::Memory::new(config, count as usize, &options, footprint);
         Ok(Trial {
+            memory: memory.map_err(failed)?.total(),
             load: Load {
                 boxes: Some(count),
                 ..Load::of_size(Size {

@@ -10,15 +10,16 @@ mod see3d;
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{forget_peak_memory, peak_memory},
+    machine::{PROGRAM_BYTES, forget_peak_memory, peak_memory},
     progress::Progress,
+    weights,
 };
 use candle_core::{Device, Tensor};
 pub use profile::ProfileRow;
 use serde::Serialize;
 use std::{str::FromStr, time::Instant};
 use tid3r_models::{
-    ComputeType, Weights,
+    ComputeType, Footprint, Weights,
     mobilesamv2::{
         ImageEncoder,
         efficient_vit::{self, EfficientVit},
@@ -142,6 +143,8 @@ pub struct BenchRow {
     /// The most memory that the process had at once in any run, in bytes; `None` where the system does not
     /// say. Of weights in a file that is what stays of them, as in any run; made-up ones are there as a whole.
     pub peak_memory_bytes: Option<u64>,
+    /// What was expected of that: what a run asks for before it starts.
+    pub expected_memory_bytes: u64,
     /// Operations a second, in 10^9: two for each multiply-add of the network, convolutions counted as
     /// sums over their kernels, however they are computed.
     pub gflops: f64,
@@ -206,6 +209,8 @@ struct Trial {
     defined: f64,
     /// Multiply-adds that are really computed.
     computed: f64,
+    /// Bytes, by the network's own estimate.
+    memory: usize,
     run: Box<dyn Fn() -> candle_core::Result<()>>,
 }
 
@@ -228,19 +233,23 @@ pub fn run(
         Config::Detector(config) => mobilesamv2::detector(params, &config, &source)?,
         Config::EfficientVit(config) => {
             let encoder = EfficientVit::new(&config, &source.weights()?).map_err(failed)?;
-            let work = efficient_vit::Work::new(&config);
-            let work = (work.total(), work.total());
-            mobilesamv2::encoder(ImageEncoder::EfficientVit(encoder), work)?
+            let work = efficient_vit::Work::new(&config).total();
+            let side = ImageEncoder::SIDE as usize;
+            let memory = efficient_vit::Memory::new(&config, (side, side), params.dtype);
+            let memory = memory.map_err(failed)?.total();
+            mobilesamv2::encoder(ImageEncoder::EfficientVit(encoder), work, memory)?
         }
         Config::TinyVit(config) => {
             let encoder = TinyVit::new(&config, &source.weights()?).map_err(failed)?;
             let work = tiny_vit::Work::new(&config).map_err(failed)?.total();
-            mobilesamv2::encoder(ImageEncoder::TinyVit(encoder), (work, work))?
+            let memory = tiny_vit::Memory::new(&config, source.footprint()?).map_err(failed)?;
+            mobilesamv2::encoder(ImageEncoder::TinyVit(encoder), work, memory.total())?
         }
         Config::Vit(config) => {
             let encoder = Vit::new(&config, &source.weights()?).map_err(failed)?;
             let work = vit::Work::new(&config).total();
-            mobilesamv2::encoder(ImageEncoder::Vit(encoder), (work, work))?
+            let memory = vit::Memory::new(&config, source.footprint()?).map_err(failed)?;
+            mobilesamv2::encoder(ImageEncoder::Vit(encoder), work, memory.total())?
         }
         Config::Decoder(config) => mobilesamv2::decoder(params, &config, &source)?,
         Config::Unet(config) => see3d::unet(params, &config, &source)?,
@@ -324,6 +333,14 @@ impl<'a> Source<'a> {
         };
         Ok(weights.in_type(self.dtype))
     }
+
+    /// What they take in memory.
+    fn footprint(&self) -> Result<Footprint> {
+        match self.found {
+            Some(found) => weights::footprint(found, self.dtype),
+            None => Ok(Footprint::Owned(size_of::<f32>())),
+        }
+    }
 }
 
 /// Made-up numbers from -1 to 1.
@@ -360,6 +377,7 @@ fn measure(
         threads,
         median_seconds,
         peak_memory_bytes: peak_memory(),
+        expected_memory_bytes: trial.memory as u64 + PROGRAM_BYTES,
         gflops: 2.0 * trial.defined / median_seconds / 1e9,
         share_of_peak: 2.0 * trial.computed / median_seconds / peak,
         profile: recording.map(|recording| profile::rows(&recording, &seconds, peak)),

@@ -3,7 +3,7 @@
 use super::{BenchParams, Load, Size, Source, Trial, failed, made_up};
 use crate::{Error, Result};
 use std::rc::Rc;
-use tid3r_models::mvdust3r::{Config, MvDust3r, Options, Paths, Unobserved, Work};
+use tid3r_models::mvdust3r::{Config, Memory, MvDust3r, Options, Paths, Unobserved, Work};
 
 /// A trial for each number of photos.
 pub(super) fn trials(
@@ -29,6 +29,7 @@ pub(super) fn trials(
         gaussians: params.gaussians,
         ..Options::default()
     };
+    let footprint = source.footprint()?;
     let views = match params.views.is_empty() {
         true => &VIEWS[..],
         false => &params.views,
@@ -50,7 +51,15 @@ pub(super) fn trials(
             options.gaussians,
         );
         let network = Rc::clone(&network);
+        let memory = Memory::new(
+            &config,
+            views as usize,
+            (height, width),
+            &options,
+            footprint,
+        );
         Ok(Trial {
+            memory: memory.map_err(failed)?.total(),
             load: Load {
                 views: Some(views),
                 ..Load::of_size(size)

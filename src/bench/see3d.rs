@@ -43,12 +43,15 @@ pub(super) fn unet(
         true => &VIEWS[..],
         false => &params.views,
     };
+    let footprint = source.footprint()?;
     let trial = |&views: &u32| {
         let frames = views as usize;
+        let memory = unet::Memory::new(config, 1, frames, latents, footprint);
         let frames_seen = made_up(&[frames, latents.0, latents.1, config.in_channels])?;
         let work = unet::Work::new(config, PRECISION, frames, latents);
         let (network, context) = (Rc::clone(&network), context.clone());
         Ok(Trial {
+            memory: memory.map_err(failed)?.total(),
             load: Load {
                 views: Some(views),
                 ..Load::of_size(size)
@@ -80,6 +83,9 @@ pub(super) fn vae(
     let picture = made_up(&[1, height, width, config.in_channels])?;
     let scale = config.scale();
     let latents = made_up(&[1, height / scale, width / scale, config.latent_channels])?;
+    let (tiling, footprint) = (Tiling::Released, source.footprint()?);
+    let encoding = vae::Memory::of_encoding(config, (height, width), tiling, footprint);
+    let decoding = vae::Memory::of_decoding(config, (height, width), tiling, footprint);
     let load = |part| Load {
         part: Some(part),
         ..Load::of_size(size)
@@ -89,12 +95,14 @@ pub(super) fn vae(
             load: load("encode"),
             defined: work.encode,
             computed: computed.encode,
+            memory: encoding.map_err(failed)?.total(),
             run: Box::new(move || encoder.encode(&picture).map(drop)),
         },
         Trial {
             load: load("decode"),
             defined: work.decode,
             computed: computed.decode,
+            memory: decoding.map_err(failed)?.total(),
             run: Box::new(move || decoder.decode(&latents).map(drop)),
         },
     ])
@@ -110,10 +118,12 @@ pub(super) fn image_encoder(
     let side = config.image_size;
     let picture = made_up(&[1, side, side, config.num_channels])?;
     let work = clip::Work::of_vision(config).total();
+    let memory = clip::Memory::of_vision(config, source.footprint()?).map_err(failed)?;
     Ok(vec![Trial {
         load: Load::of_size(Size::square(side)),
         defined: work,
         computed: work,
+        memory: memory.total(),
         run: Box::new(move || network.forward(&picture).map(drop)),
     }])
 }
@@ -125,6 +135,8 @@ pub(super) fn text_encoder(config: &TextEncoderConfig, source: &Source<'_>) -> R
     let text = Tensor::from_slice(&config.empty_prompt, (1, tokens), &Device::Cpu);
     let text = text.map_err(failed)?;
     let work = clip::Work::of_text(&config.text, tokens).total();
+    let memory =
+        clip::Memory::of_text(&config.text, tokens, source.footprint()?).map_err(failed)?;
     Ok(vec![Trial {
         load: Load {
             tokens: Some(tokens as u32),
@@ -132,6 +144,7 @@ pub(super) fn text_encoder(config: &TextEncoderConfig, source: &Source<'_>) -> R
         },
         defined: work,
         computed: work,
+        memory: memory.total(),
         run: Box::new(move || network.forward(&text).map(drop)),
     }])
 }

@@ -12,7 +12,7 @@ use tid3r_weights_convert::{Found, Network};
 ///
 /// A network runs at full size on made-up pictures and, unless weights are given, on made-up weights: speed
 /// depends on neither, but made-up weights take memory as a whole, those of a file as far as they are used
-/// at a time. Operations are those of the network's definition; the share of the peak is of
+/// at a time. What is expected is what a run compares with the memory that there is before it starts. Operations are those of the network's definition; the share of the peak is of
 /// those that are really computed, against what the processor does with numbers in registers.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
@@ -95,7 +95,9 @@ fn print_kernels(rows: &[KernelRow]) -> Result<()> {
 }
 
 fn print(rows: &[BenchRow]) -> Result<()> {
-    let heading = ["work", "threads", "seconds", "memory", "GFLOP/s", "of peak"];
+    let heading = [
+        "work", "threads", "seconds", "memory", "expected", "GFLOP/s", "of peak",
+    ];
     let mut table = vec![heading.map(String::from).to_vec()];
     for row in rows {
         table.push(vec![
@@ -103,6 +105,7 @@ fn print(rows: &[BenchRow]) -> Result<()> {
             row.threads.to_string(),
             format!("{:.2}", row.median_seconds),
             row.peak_memory_bytes.map_or("?".into(), readable_bytes),
+            readable_bytes(row.expected_memory_bytes),
             format!("{:.0}", row.gflops),
             format!("{:.0} %", 100.0 * row.share_of_peak),
         ]);

@@ -4,12 +4,16 @@ use super::image::check_same_size;
 use crate::{
     Error, Result,
     error::network_problem,
+    machine::{PROGRAM_BYTES, available_memory, readable_bytes},
     weights::{are_missing, damaged, network},
 };
 use candle_core::{Device, Tensor};
 use image::RgbImage;
 use serde::Serialize;
-use tid3r_models::{ComputeType, lpips::Lpips};
+use tid3r_models::{
+    ComputeType, Footprint,
+    lpips::{Lpips, Memory},
+};
 use tid3r_weights_convert::{Config, Found, Network, Places};
 
 /// The classifier on which LPIPS is computed. The figures of one say nothing of the other's.
@@ -143,6 +147,20 @@ impl Loaded {
                     self.found.network.title
                 ),
                 format!("give pictures of at least {least}x{least} pixels, or --lpips none"),
+            ));
+        }
+        let size = (height as usize, width as usize);
+        let memory = Memory::new(self.network.config(), size, Footprint::default());
+        let needed = memory.total() as u64 + PROGRAM_BYTES;
+        if let Some(available) = available_memory().filter(|&available| available < needed) {
+            return Err(Error::request(
+                format!(
+                    "{} takes {} of memory to compare pictures of {width}x{height} pixels, and there may be {}",
+                    self.found.network.title,
+                    readable_bytes(needed),
+                    readable_bytes(available)
+                ),
+                "render smaller pictures, give --lpips none or alex, or allow for more memory",
             ));
         }
         let distances = [picture, truth].map(tensor);

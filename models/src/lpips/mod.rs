@@ -9,9 +9,11 @@
 //! of the five means over all pixels. Heads are never negative, so neither is a distance.
 
 mod config;
+mod memory;
 mod network;
 mod work;
 
 pub use config::{Config, Net};
+pub use memory::Memory;
 pub use network::{Distance, Lpips};
 pub use work::Work;

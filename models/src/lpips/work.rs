@@ -9,31 +9,55 @@ pub struct Work {
     pub slices: [f64; 5],
 }
 
+/// A convolution, on two pictures.
+pub(super) struct Layer {
+    /// Which slice it is part of.
+    pub(super) slice: usize,
+    /// Multiply-adds.
+    work: f64,
+    /// Numbers of the result.
+    pub(super) numbers: usize,
+    /// Weights and biases.
+    pub(super) parameters: usize,
+}
+
+/// What the network does to pictures of `height` x `width` pixels.
+pub(super) fn layers(config: &Config, (height, width): (usize, usize)) -> Vec<Layer> {
+    let over = |side: usize, padding: usize, kernel: usize, stride: usize| {
+        (side + 2 * padding)
+            .checked_sub(kernel)
+            .map_or(0, |last| last / stride + 1)
+    };
+    let mut layers = Vec::new();
+    let mut sides = [height, width];
+    let mut inputs = 3;
+    let mut channels = config.channels.iter().copied();
+    for (index, slice) in config.net.slices().iter().enumerate() {
+        if let Some((kernel, stride)) = slice.pool {
+            sides = sides.map(|side| over(side, 0, kernel, stride));
+        }
+        for (conv, outputs) in slice.convolutions.iter().zip(&mut channels) {
+            sides = sides.map(|side| over(side, conv.padding, conv.kernel, conv.stride));
+            let weights = conv.kernel * conv.kernel * inputs * outputs;
+            layers.push(Layer {
+                slice: index,
+                work: 2.0 * (sides[0] * sides[1]) as f64 * weights as f64,
+                numbers: 2 * sides[0] * sides[1] * outputs,
+                parameters: weights + outputs,
+            });
+            inputs = outputs;
+        }
+    }
+    layers
+}
+
 impl Work {
     /// The work on pictures of `height` x `width` pixels.
-    pub fn new(config: &Config, (height, width): (usize, usize)) -> Self {
-        let mut sides = [height, width];
-        let mut inputs = 3;
-        let mut channels = config.channels.iter().copied();
-        let slices = config.net.slices().each_ref().map(|slice| {
-            let over = |side: usize, padding: usize, kernel: usize, stride: usize| {
-                (side + 2 * padding)
-                    .checked_sub(kernel)
-                    .map_or(0, |last| last / stride + 1)
-            };
-            if let Some((kernel, stride)) = slice.pool {
-                sides = sides.map(|side| over(side, 0, kernel, stride));
-            }
-            let mut work = 0.0;
-            for (conv, outputs) in slice.convolutions.iter().zip(&mut channels) {
-                sides = sides.map(|side| over(side, conv.padding, conv.kernel, conv.stride));
-                let pixels = (sides[0] * sides[1]) as f64;
-                let each = (conv.kernel * conv.kernel * inputs * outputs) as f64;
-                work += 2.0 * pixels * each;
-                inputs = outputs;
-            }
-            work
-        });
+    pub fn new(config: &Config, size: (usize, usize)) -> Self {
+        let mut slices = [0.0; 5];
+        for layer in layers(config, size) {
+            slices[layer.slice] += layer.work;
+        }
         Self { slices }
     }
 

@@ -26,6 +26,14 @@ impl ComputeType {
         *self == Self::default()
     }
 
+    /// Bytes of a weight that is laid out for a kernel.
+    pub(crate) fn bytes(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::Bf16 => 2,
+        }
+    }
+
     /// What people call it: what [`Self::from_str`] takes.
     pub fn name(self) -> &'static str {
         match self {

@@ -1,7 +1,7 @@
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{available_memory, readable_bytes, readable_seconds},
+    machine::{PROGRAM_BYTES, available_memory, readable_bytes, readable_seconds},
 };
 use std::fmt;
 use tid3r_models::{
@@ -28,8 +28,6 @@ pub struct RunEstimate {
 
 /// The share of the machine's best that runs reach, by experience.
 const REACHED: f64 = 0.6;
-/// Taken by the program itself.
-const PROGRAM_BYTES: u64 = 60_000_000;
 /// Tokens at a time, from what is fast to what is small.
 const ROWS: [usize; 5] = [4096, 2048, 1024, 512, 1];
 

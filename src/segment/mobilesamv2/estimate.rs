@@ -2,7 +2,7 @@ use super::{Letterbox, MobileSamParams, Networks, SamFrame};
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{available_memory, readable_bytes, readable_seconds},
+    machine::{PROGRAM_BYTES, available_memory, readable_bytes, readable_seconds},
 };
 use tid3r_models::{
     Footprint,
@@ -14,8 +14,6 @@ use tid3r_models::{
 const REACHED: f64 = 0.35;
 /// Objects that a photo of a room has, by experience.
 const OBJECTS: usize = 60;
-/// Taken by the program itself.
-const PROGRAM_BYTES: usize = 60_000_000;
 
 /// What a picture takes on this machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,7 +105,7 @@ fn bytes(
     let side = SamFrame::SIDE as usize;
     let (weights, working) = match &networks.encoder {
         ImageEncoder::EfficientVit(network) => {
-            let memory = efficient_vit::Memory::new(network.config(), (side, side))?;
+            let memory = efficient_vit::Memory::new(network.config(), (side, side), params.dtype)?;
             (memory.weights, memory.working)
         }
         ImageEncoder::TinyVit(network) => {
@@ -119,10 +117,11 @@ fn bytes(
             (memory.weights, memory.working)
         }
     };
-    let detector = detector::Memory::new(networks.detector.config(), detector_size(params))?;
+    let (config, size) = (networks.detector.config(), detector_size(params));
+    let detector = detector::Memory::new(config, size, params.dtype)?;
     let options = decoder::Options::default();
     let config = networks.decoder.config();
     let decoder = decoder::Memory::new(config, objects(params), &options, decoder)?;
     let most = working.max(detector.working).max(decoder.working);
-    Ok(PROGRAM_BYTES + weights + detector.weights + decoder.weights + most)
+    Ok(PROGRAM_BYTES as usize + weights + detector.weights + decoder.weights + most)
 }

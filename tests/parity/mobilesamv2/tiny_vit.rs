@@ -133,7 +133,7 @@ pub(crate) fn blocks(case: &Case, comparison: &mut Comparison) -> Result<()> {
     };
 
     let ConvBnSizes { a, b, ks, stride } = sizes.conv_bn;
-    let conv = conv_bn(a, b, ks, &weights.pp("conv_bn"))?.with_stride(stride);
+    let conv = conv_bn(a, b, (ks, stride), &weights.pp("conv_bn"))?;
     let x = channels_last(case.input("conv_bn")?)?;
     let y = conv.forward(&x, Activation::Identity)?;
     comparison.check("conv_bn", &channels_first(&y)?);

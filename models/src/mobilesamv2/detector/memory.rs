@@ -3,6 +3,7 @@
 use candle_core::Result;
 
 use super::{Config, Detector};
+use crate::ComputeType;
 
 /// Estimated peak of memory of one run, in bytes, without what the program itself needs.
 ///
@@ -17,12 +18,16 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// The memory for an image of `height` x `width` pixels.
+    /// The memory for an image of `height` x `width` pixels, when layers compute with this type.
     ///
     /// # Errors
     ///
     /// If the sizes in `config` do not fit each other.
-    pub fn new(config: &Config, (height, width): (usize, usize)) -> Result<Self> {
+    pub fn new(
+        config: &Config,
+        (height, width): (usize, usize),
+        compute_type: ComputeType,
+    ) -> Result<Self> {
         const FLOAT: usize = size_of::<f32>();
         // What a convolution holds while it runs.
         const SCRATCH: usize = 16 << 20;
@@ -51,7 +56,7 @@ impl Memory {
         ];
         let maps = 3 * pixels + layers.into_iter().max().unwrap_or(0);
         Ok(Self {
-            weights: weights.sum::<usize>() * FLOAT,
+            weights: weights.sum::<usize>() * compute_type.bytes(),
             working: maps * FLOAT + SCRATCH,
         })
     }
@@ -68,7 +73,7 @@ mod tests {
 
     #[test]
     fn the_network_in_its_full_size() {
-        let of = |size| Memory::new(&Config::released(), size).unwrap();
+        let of = |size| Memory::new(&Config::released(), size, ComputeType::F32).unwrap();
         let (wide, square) = (of((768, 1024)), of((1024, 1024)));
         // 68.7 million weights, without mask coefficients.
         let weights = wide.weights as f64 / 4e6;

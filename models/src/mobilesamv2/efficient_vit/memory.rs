@@ -6,6 +6,7 @@ use super::backbone::{EXPAND, HALVING_EXPAND};
 use super::neck::Neck;
 use super::work::pixels;
 use super::{Config, EfficientVit, EfficientVitBlock};
+use crate::ComputeType;
 
 /// Estimated peak of memory of one run on one image, in bytes, without what the program itself needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,12 +18,16 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// The memory for an image of `height` x `width` pixels.
+    /// The memory for an image of `height` x `width` pixels, when layers compute with this type.
     ///
     /// # Errors
     ///
     /// If the sizes in `config` do not fit each other.
-    pub fn new(config: &Config, (height, width): (usize, usize)) -> Result<Self> {
+    pub fn new(
+        config: &Config,
+        (height, width): (usize, usize),
+        compute_type: ComputeType,
+    ) -> Result<Self> {
         const FLOAT: usize = size_of::<f32>();
         /// What transformed images of a convolution take, in numbers.
         const TRANSFORMED: usize = 8 << 20;
@@ -53,7 +58,7 @@ impl Memory {
         let stages: usize = (0..widths.len()).map(|i| pixels(i) * widths[i]).sum();
         let images = 3 * (height * width + EfficientVit::SIDE * EfficientVit::SIDE);
         Ok(Self {
-            weights: weights.sum::<usize>() * FLOAT,
+            weights: weights.sum::<usize>() * compute_type.bytes(),
             working: (images + stages + largest + TRANSFORMED) * FLOAT,
         })
     }
@@ -70,7 +75,7 @@ mod tests {
 
     #[test]
     fn the_released_network() {
-        let memory = Memory::new(&Config::released(), (1024, 1024)).unwrap();
+        let memory = Memory::new(&Config::released(), (1024, 1024), ComputeType::F32).unwrap();
         let weights = memory.weights as f64 / 4e6;
         assert!((weights - 57.3).abs() < 0.5, "{weights}");
         // The second stage's hidden layer of 34 MB, and what is left of others, are the most.
