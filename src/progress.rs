@@ -1,5 +1,7 @@
 //! How long work reports that it goes on.
 
+use image::RgbImage;
+
 /// Told of the progress of one task at a time; every front end has its own.
 pub trait Progress: Sync {
     /// A task of `total` steps begins; a task that was under way has ended.
@@ -11,6 +13,11 @@ pub trait Progress: Sync {
     /// Something worth knowing before the next task.
     fn note(&self, text: &str) {
         let _ = text;
+    }
+    /// How the picture called `name` looks by now, while it takes shape. `draw` makes it, which takes a moment: to be called
+    /// by those who show it. `None` if there is nothing to be seen.
+    fn preview(&self, name: &str, draw: &dyn Fn() -> Option<RgbImage>) {
+        let _ = (name, draw);
     }
     /// Whether nobody wants the result any more. Work that asks ends with [`Error::Cancelled`](crate::Error::Cancelled).
     fn is_cancelled(&self) -> bool {

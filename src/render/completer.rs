@@ -87,17 +87,29 @@ pub trait Completion {
         Ok(())
     }
 
-    /// Takes a step: one result for each of its views. `kept` has what earlier steps keep; `done` is told
-    /// which share of the step is done; an error that it gives ends the step.
+    /// Takes a step: one result for each of its views. `kept` has what earlier steps keep; an error that `follower`
+    /// gives ends the step.
     ///
     /// # Errors
-    /// When a picture cannot be made; those of `done`.
+    /// When a picture cannot be made; those of `follower`.
     fn take(
         &mut self,
         step: usize,
         kept: &dyn Kept,
-        done: &mut dyn FnMut(f64) -> Result<()>,
+        follower: &mut dyn Follower,
     ) -> Result<Vec<Completed>>;
+}
+
+/// Who follows a step.
+pub trait Follower {
+    /// This share of the step is done.
+    ///
+    /// # Errors
+    /// When the step is to end.
+    fn reached(&mut self, share: f64) -> Result<()>;
+
+    /// How a view looks by now; see [`Progress::preview`].
+    fn preview(&mut self, name: &str, draw: &dyn Fn() -> Option<RgbImage>);
 }
 
 /// Some views that are completed together.
@@ -176,12 +188,7 @@ impl<F: Fn(&Projection, &[Reference]) -> RgbImage> Completion for OneByOne<'_, F
         &self.steps
     }
 
-    fn take(
-        &mut self,
-        step: usize,
-        _: &dyn Kept,
-        _: &mut dyn FnMut(f64) -> Result<()>,
-    ) -> Result<Vec<Completed>> {
+    fn take(&mut self, step: usize, _: &dyn Kept, _: &mut dyn Follower) -> Result<Vec<Completed>> {
         let complete = |&view: &usize| {
             let projection = self.views.projection(view);
             let picture = (self.complete)(&projection, self.views.references);

@@ -11,7 +11,9 @@ pub mod see3d;
 mod stage;
 mod top_down;
 
-pub use completer::{Bare, Completed, Completer, Completion, Keeps, Kept, Step, View, Views};
+pub use completer::{
+    Bare, Completed, Completer, Completion, Follower, Keeps, Kept, Step, View, Views,
+};
 pub use contact_sheet::contact_sheet;
 pub use path::{between, orbit, path_cameras};
 pub use projection::{Projection, SplatParams, project};

@@ -1,6 +1,6 @@
 use super::{
-    Completed, Completer, Completion, Kept, Reference, ReferenceParams, SplatParams, Step, View,
-    Views, record::RenderRecord,
+    Completed, Completer, Completion, Follower, Kept, Reference, ReferenceParams, SplatParams,
+    Step, View, Views, record::RenderRecord,
 };
 use crate::{
     Error, Result,
@@ -360,25 +360,44 @@ fn take(
     progress.begin("rendering", numbers.iter().map(work).sum());
     for &number in numbers {
         let step = completion.steps()[number].clone();
-        let mut reached = 0;
-        let mut reach = |share: f64| {
-            if progress.is_cancelled() {
-                return Err(Error::Cancelled);
-            }
-            let now = ((share * step.work as f64) as usize).min(step.work);
-            if now > reached {
-                progress.advance(now - reached);
-                reached = now;
-            }
-            Ok(())
+        let mut passing = Passing {
+            progress,
+            work: step.work,
+            reached: 0,
         };
-        reach(0.0)?;
-        let results = completion.take(number, store, &mut reach)?;
+        passing.reached(0.0)?;
+        let results = completion.take(number, store, &mut passing)?;
         store.keep(number, &step, results)?;
-        progress.advance(step.work - reached);
+        progress.advance(step.work - passing.reached);
     }
     progress.end();
     Ok(())
+}
+
+/// Passes on how far a step is.
+struct Passing<'a> {
+    progress: &'a dyn Progress,
+    /// Units of the step, and those that were passed on.
+    work: usize,
+    reached: usize,
+}
+
+impl Follower for Passing<'_> {
+    fn reached(&mut self, share: f64) -> Result<()> {
+        if self.progress.is_cancelled() {
+            return Err(Error::Cancelled);
+        }
+        let now = ((share * self.work as f64) as usize).min(self.work);
+        if now > self.reached {
+            self.progress.advance(now - self.reached);
+            self.reached = now;
+        }
+        Ok(())
+    }
+
+    fn preview(&mut self, name: &str, draw: &dyn Fn() -> Option<RgbImage>) {
+        self.progress.preview(name, draw);
+    }
 }
 
 /// Keeps results in memory.

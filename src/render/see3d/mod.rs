@@ -24,6 +24,7 @@ mod noise;
 mod params;
 mod picture;
 mod plan;
+mod preview;
 mod run;
 mod stage;
 #[cfg(test)]

@@ -8,13 +8,14 @@ use super::{
     noise::{Normals, Purpose},
     picture::{as_grey, from_unit_range, in_unit_range, squashed},
     plan::Plan,
+    preview::Colours,
     stage::{Settings, Stage},
 };
 use crate::{
     Error, Result,
     error::network_problem,
     progress::Progress,
-    render::{Completed, Completion, Keeps, Kept, Projection, Step, View, Views},
+    render::{Completed, Completion, Follower, Keeps, Kept, Projection, Step, View, Views},
 };
 use candle_core::{Device, Tensor};
 use image::RgbImage;
@@ -159,7 +160,7 @@ impl<'a> Run<'a> {
         &mut self,
         part: &Part,
         frames: &Frames,
-        watch: &mut Watch,
+        watch: &mut Watch<'_>,
     ) -> Result<Vec<RgbImage>> {
         let guides = self.guides[&part.group].clone();
         let latents = self.encode(part, &guides, frames, watch)?;
@@ -186,6 +187,12 @@ impl<'a> Run<'a> {
                 "report this as a defect",
             ));
         };
+        let name = |view: usize| self.views.cameras[view].0.clone();
+        watch.preview = Some(Targets {
+            first: frames.references + part.carried.len(),
+            names: part.targets.clone().map(name).collect(),
+            colours: Colours::fitted(&latents, &frames.pictures),
+        });
         let denoised = || {
             let conditions = Conditions {
                 latents,
@@ -232,7 +239,7 @@ impl<'a> Run<'a> {
         part: &Part,
         guides: &[usize],
         frames: &Frames,
-        watch: &mut Watch,
+        watch: &mut Watch<'_>,
     ) -> Result<Tensor> {
         let encoder = self.see3d.weights.encoder(self.plan.way.tiling())?;
         let (stage, seed) = (part.stage, self.settings().seed);
@@ -345,15 +352,16 @@ impl Completion for Run<'_> {
         &mut self,
         step: usize,
         kept: &dyn Kept,
-        done: &mut dyn FnMut(f64) -> Result<()>,
+        follower: &mut dyn Follower,
     ) -> Result<Vec<Completed>> {
         let part = self.parts[step].clone();
         let (frames, projections) = self.frames(&part, kept)?;
         let mut watch = Watch {
             total: self.work[step],
             reached: 0.0,
-            done,
+            follower,
             stop: None,
+            preview: None,
         };
         let pictures = self.complete(&part, &frames, &mut watch);
         if let Some(stop) = watch.stop {
@@ -435,31 +443,53 @@ impl denoise::Noise for PartNoise<'_> {
     }
 }
 
-/// Tells the share of a part's work that is done.
+/// Tells the share of a part's work that is done, and shows its views as they take shape.
 struct Watch<'a> {
     /// Multiply-adds.
     total: f64,
     reached: f64,
-    done: &'a mut dyn FnMut(f64) -> Result<()>,
+    follower: &'a mut dyn Follower,
     /// Why it is to end early.
     stop: Option<Error>,
+    /// While latents are denoised.
+    preview: Option<Targets>,
+}
+
+/// Where the views of a part are among its frames.
+struct Targets {
+    /// The first of them.
+    first: usize,
+    names: Vec<String>,
+    colours: Colours,
 }
 
 impl Observer for Watch<'_> {
     fn stage(
         &mut self,
-        _: &str,
-        _: &dyn Fn() -> candle_core::Result<Tensor>,
+        name: &str,
+        tensor: &dyn Fn() -> candle_core::Result<Tensor>,
     ) -> candle_core::Result<()> {
-        match self.stop {
-            Some(_) => Err(candle_core::Error::Msg("stopped".into())),
-            None => Ok(()),
+        if self.stop.is_some() {
+            return Err(candle_core::Error::Msg("stopped".into()));
         }
+        if let ("predicted", Some(targets)) = (name, &self.preview) {
+            for (k, name) in targets.names.iter().enumerate() {
+                // A picture in between that cannot be shown is no reason to end.
+                let draw = || {
+                    targets
+                        .colours
+                        .picture(&tensor().ok()?, targets.first + k)
+                        .ok()
+                };
+                self.follower.preview(name, &draw);
+            }
+        }
+        Ok(())
     }
 
     fn advance(&mut self, multiply_adds: f64) {
         self.reached += multiply_adds;
-        let told = (self.done)((self.reached / self.total).min(1.0));
+        let told = self.follower.reached((self.reached / self.total).min(1.0));
         self.stop = self.stop.take().or(told.err());
     }
 }

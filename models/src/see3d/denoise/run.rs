@@ -14,7 +14,8 @@ use crate::see3d::unet::{Context, Deep, Unet};
 ///
 /// `context` has one row, or one for each frame of each group (see [`context()`](super::context())). At each step
 /// `observer` is shown `unet_input` and `unet_output` (groups * frames, height, width, channels; all with the
-/// condition before all without), `guided` and `latents` (frames, height, width, 4), and told of the progress
+/// condition before all without), `guided`, `predicted` (the latents that it would all come to if that were the last step)
+/// and `latents` (frames, height, width, 4), and told of the progress
 /// as [`Sampler::computed`] counts it. An error of the observer ends the run.
 ///
 /// # Errors
@@ -78,6 +79,12 @@ pub fn denoise(
         latents = run.inputs.clean(&latents)?;
         let output = run.output(&latents, warp.as_ref(), step, timestep)?;
         run.observer.stage("guided", &|| Ok(output.clone()))?;
+        let predicted = || {
+            Ok(schedule
+                .told(&output, &latents, schedule.alpha(timestep)?)?
+                .sample)
+        };
+        run.observer.stage("predicted", &predicted)?;
         latents = match sampler.quality {
             Quality::Exact => schedule.step(&output, &latents, timestep, sampler.steps)?,
             Quality::Fast(_) => {
