@@ -142,6 +142,9 @@ impl MvDust3rReconstructor {
         let mut watch = Watch::begin(estimate.work(), progress);
         let outputs = network.forward(&images, &options, &mut watch);
         progress.end();
+        if progress.is_cancelled() {
+            return Err(Error::Cancelled);
+        }
         let mut paths = outputs.map_err(failed)?;
         Ok(paths.swap_remove(0))
     }
@@ -369,6 +372,17 @@ impl<'a> Watch<'a> {
 }
 
 impl Observer for Watch<'_> {
+    fn stage(
+        &mut self,
+        _: &str,
+        _: &dyn Fn() -> candle_core::Result<Tensor>,
+    ) -> candle_core::Result<()> {
+        match self.progress.is_cancelled() {
+            true => Err(candle_core::Error::Msg("stopped".into())),
+            false => Ok(()),
+        }
+    }
+
     fn advance(&mut self, multiply_adds: f64) {
         self.done += multiply_adds;
         let share = (self.done / self.total).clamp(0.0, 1.0);
