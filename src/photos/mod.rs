@@ -118,6 +118,9 @@ impl Photo {
     }
 }
 
+/// As many pixels as a photo may have: more than any telephone takes, and less than fill a machine's memory.
+pub const PHOTO_PIXELS_LIMIT: u64 = 1 << 28;
+
 /// Whether there is a ZIP file.
 pub(crate) fn is_archive(path: &Path) -> bool {
     Kind::of_file(path).is_ok_and(|kind| kind == Kind::Archive)
@@ -143,9 +146,14 @@ pub(crate) fn decode(bytes: Vec<u8>, path: &Path, as_stored: bool) -> Result<Rgb
         .into_decoder()
         .and_then(|mut decoder| {
             let orientation = decoder.orientation()?;
-            Ok((DynamicImage::from_decoder(decoder)?, orientation))
+            let (width, height) = decoder.dimensions();
+            if u64::from(width) * u64::from(height) > PHOTO_PIXELS_LIMIT {
+                return Ok(Err(format!("{width}x{height} pixels are too many")));
+            }
+            Ok(Ok((DynamicImage::from_decoder(decoder)?, orientation)))
         });
-    let (mut image, orientation) = decoded.map_err(|error| unreadable(path, error))?;
+    let decoded = decoded.map_err(|error| unreadable(path, error))?;
+    let (mut image, orientation) = decoded.map_err(|problem| unreadable(path, problem))?;
     if !as_stored {
         image.apply_orientation(orientation);
     }
