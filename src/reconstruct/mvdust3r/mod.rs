@@ -28,7 +28,7 @@ use tid3r_models::{
     ComputeType, Weights,
     mvdust3r::{Config, MvDust3r, Observer, Options, ViewOutput},
 };
-use tid3r_weights_convert::{self as convert, Found};
+use tid3r_weights_convert::{self as convert, Found, Network, Places};
 
 /// Reconstructs photos with MV-DUSt3R or MV-DUSt3R+.
 ///
@@ -45,6 +45,21 @@ pub struct MvDust3rReconstructor {
 }
 
 impl MvDust3rReconstructor {
+    /// The networks that reconstruct, by name, the better one first.
+    pub const NETWORKS: [&str; 2] = ["mvdust3r-plus", "mvdust3r"];
+
+    /// The weights of the better one that is in `places`.
+    ///
+    /// # Errors
+    /// When there are none: the message says what to get from where.
+    pub fn find_weights(places: &Places) -> Result<Found> {
+        let found = |name: &&str| places.find(Network::named(name).ok()?, None).ok();
+        match Self::NETWORKS.iter().find_map(found) {
+            Some(found) => Ok(found),
+            None => Ok(places.find(Network::named(Self::NETWORKS[0])?, None)?),
+        }
+    }
+
     /// With the weights that were found. They are mapped, not read.
     ///
     /// # Errors
