@@ -15,8 +15,10 @@ mod sources;
 mod undistort;
 mod video;
 
+pub(crate) use heic::REMEDY as HEIC_REMEDY;
+pub(crate) use kind::{HEAD, Kind};
 pub use known_lens::KnownLens;
-pub(crate) use names::{PHOTO_ENDINGS, natural_key};
+pub(crate) use names::{PHOTO_ENDINGS, natural_key, safe_name};
 pub use network_frame::{
     FRAME_SIDE_LIMIT, NetworkFrame, PATCH, TRAINED_SIZE, network_frames, network_input,
 };
@@ -25,8 +27,6 @@ pub use pillow_resize::{PillowFilter, pillow_resize};
 pub use sources::{PHOTO_COUNT_LIMIT, PhotoSources};
 pub use undistort::undistorted;
 pub use video::{VideoChoice, VideoParams};
-
-use kind::Kind;
 
 use crate::{Error, Result, geometry::Intrinsics};
 use fast_image_resize as fir;
