@@ -50,6 +50,12 @@ pub fn readable_seconds(seconds: f64) -> String {
     }
 }
 
+/// "1 view", "5 views".
+pub(crate) fn counted(count: usize, what: &str) -> String {
+    let ending = if count == 1 { "" } else { "s" };
+    format!("{count} {what}{ending}")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

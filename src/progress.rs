@@ -25,6 +25,39 @@ pub trait Progress: Sync {
     }
 }
 
+/// Says with each task which of several parts of the work it belongs to.
+pub struct Part<'a> {
+    /// Which part, from 1.
+    pub number: usize,
+    /// How many there are.
+    pub of: usize,
+    /// Who is told.
+    pub progress: &'a dyn Progress,
+}
+
+impl Progress for Part<'_> {
+    fn begin(&self, task: &str, total: usize) {
+        let task = format!("{}/{} {task}", self.number, self.of);
+        self.progress.begin(&task, total);
+    }
+
+    fn advance(&self, steps: usize) {
+        self.progress.advance(steps);
+    }
+
+    fn end(&self) {
+        self.progress.end();
+    }
+
+    fn note(&self, text: &str) {
+        self.progress.note(text);
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.progress.is_cancelled()
+    }
+}
+
 /// Tells nobody.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;

@@ -6,7 +6,9 @@ use tid3r::{
     parameters,
     photos::{Photo, PhotoSources, VideoParams},
     progress::Progress,
-    reconstruct::{MvDust3rParams, MvDust3rReconstructor, NewScene, PlacedPhoto, Placement},
+    reconstruct::{
+        FromPhotos, MvDust3rParams, MvDust3rReconstructor, NewScene, PlacedPhoto, Placement,
+    },
     scene::{Scale, Scene, Stage, WriteLock},
 };
 use tid3r_models::ComputeType;
@@ -55,7 +57,7 @@ pub(super) struct Options {
     #[command(flatten)]
     videos: VideoParams,
     /// The network [default: mvdust3r-plus, or mvdust3r if only its weights are here]
-    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(NETWORKS))]
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(MvDust3rReconstructor::NETWORKS))]
     network: Option<String>,
     #[command(flatten)]
     params: MvDust3rParams,
@@ -63,9 +65,6 @@ pub(super) struct Options {
     #[arg(long, value_name = "AMOUNT", value_parser = parameters::memory)]
     max_memory: Option<u64>,
 }
-
-/// Those that reconstruct, the better one first.
-const NETWORKS: [&str; 2] = ["mvdust3r-plus", "mvdust3r"];
 
 impl Reconstruct {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {
@@ -100,14 +99,9 @@ impl Options {
 
     /// The weights of the network that is asked for, or of the better one that is here.
     pub(super) fn find_weights(&self, places: &Places) -> Result<Found> {
-        if let Some(name) = &self.network {
-            return Ok(places.find(Network::named(name)?, None)?);
-        }
-        let found = |name: &&str| places.find(Network::named(name).ok()?, None).ok();
-        match NETWORKS.iter().find_map(found) {
-            Some(found) => Ok(found),
-            // Says what to get from where.
-            None => Ok(places.find(Network::named(NETWORKS[0])?, None)?),
+        match &self.network {
+            Some(name) => Ok(places.find(Network::named(name)?, None)?),
+            None => Ok(MvDust3rReconstructor::find_weights(places)?),
         }
     }
 
@@ -125,18 +119,12 @@ impl Options {
         }
         let reconstructor = self.reconstructor(weights)?;
         let lock = WriteLock::acquire(output)?;
-        let parameters = serde_json::json!({
-            "photos": sources.description(&self.videos),
-            "reconstructor": reconstructor.description(),
-        });
-        if let Some(scene) = NewScene::in_place(output, &parameters, force)? {
-            return Ok((scene, lock));
-        }
-        // A scene's own photos are found whatever folder later commands are run in.
-        let folder = std::path::absolute(Scene::photos_folder(output))?;
-        let photos = sources.photos(&folder, &self.videos, progress)?;
-        let scene = new_scene(&reconstructor, &photos, parameters);
-        let scene = scene.create(output, force, &lock, progress)?;
+        let photos = FromPhotos {
+            sources: &sources,
+            videos: &self.videos,
+            reconstructor: &reconstructor,
+        };
+        let scene = photos.make(output, force, &lock, progress)?;
         Ok((scene, lock))
     }
 
@@ -156,7 +144,13 @@ impl Options {
             "photos": paths,
             "reconstructor": reconstructor.description(),
         });
-        let scene = new_scene(&reconstructor, photos, parameters);
+        let scene = NewScene {
+            inputs: photos,
+            held_out: &[],
+            scale: Scale::Relative,
+            parameters,
+            reconstructor: &reconstructor,
+        };
         let scene = scene.create(output, force, &lock, progress)?;
         Ok((scene, lock))
     }
@@ -165,20 +159,6 @@ impl Options {
         let params = self.params.clone();
         let reconstructor = MvDust3rReconstructor::new(weights, params, self.max_memory)?;
         Ok(reconstructor)
-    }
-}
-
-fn new_scene<'a>(
-    reconstructor: &'a MvDust3rReconstructor,
-    photos: &'a [Photo],
-    parameters: serde_json::Value,
-) -> NewScene<'a> {
-    NewScene {
-        inputs: photos,
-        held_out: &[],
-        scale: Scale::Relative,
-        parameters,
-        reconstructor,
     }
 }
 

@@ -1,7 +1,7 @@
 use super::{Dtype, output, terminal::Terminal};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use serde_json::{Value, json};
+use serde_json::json;
 use std::path::PathBuf;
 use tid3r::{
     Error,
@@ -11,8 +11,8 @@ use tid3r::{
     reconstruct,
     scene::{Role, Scene, Stage, WriteLock},
     segment::{
-        GraphParams, GraphSegmenter, LabelImages, MaskParams, PhotoReport, SegmentReport,
-        Segmentation, Segmenter, UnifyParams,
+        DescribedSegmenter, GraphParams, LabelImages, MaskParams, PhotoReport, SegmentReport,
+        Segmentation, UnifyParams,
         mobilesamv2::{EncoderChoice, MobileSam, MobileSamParams, MobileSamWeights},
     },
 };
@@ -130,7 +130,10 @@ impl Options {
         lock: &WriteLock,
         progress: &dyn Progress,
     ) -> Result<SegmentReport> {
-        let (segmenter, description) = self.segmenter(scene, places)?;
+        let DescribedSegmenter {
+            segmenter,
+            description,
+        } = self.segmenter(scene, places)?;
         let segmentation = Segmentation {
             segmenter: &*segmenter,
             description,
@@ -146,15 +149,16 @@ impl Options {
         Ok(report)
     }
 
-    /// What makes the masks, and what they are taken for the same by.
-    fn segmenter(&self, scene: &Scene, places: &Places) -> Result<(Box<dyn Segmenter>, Value)> {
-        let records = scene.records(Role::Input);
-        let photos = || records.iter().map(|record| &record.photo);
+    /// What makes the masks.
+    fn segmenter(&self, scene: &Scene, places: &Places) -> Result<DescribedSegmenter> {
         if let Some(folder) = &self.masks {
             let images = LabelImages::open(folder)?;
-            let content = images.content_hash(photos().map(|photo| &*photo.name))?;
-            let description = json!({ "label_images": folder, "content": content });
-            return Ok((Box::new(images), description));
+            let records = scene.records(Role::Input).iter();
+            let content = images.content_hash(records.map(|record| &*record.photo.name))?;
+            return Ok(DescribedSegmenter {
+                segmenter: Box::new(images),
+                description: json!({ "label_images": folder, "content": content }),
+            });
         }
         let found = match self.segmenter {
             Some(SegmenterChoice::Graph) => None,
@@ -171,16 +175,10 @@ impl Options {
                 })
                 .ok(),
         };
-        if let Some(found) = found {
-            let sam = MobileSam::new(&found, self.sam.clone())?;
-            let description = json!({
-                "mobilesamv2": sam.description(),
-                "photos": MobileSam::content_hash(photos()),
-            });
-            return Ok((Box::new(sam), description));
-        }
-        let description = json!({ "graph": self.graph });
-        Ok((Box::new(GraphSegmenter(self.graph.clone())), description))
+        Ok(match found {
+            Some(found) => DescribedSegmenter::mobilesamv2(&found, self.sam.clone(), scene)?,
+            None => DescribedSegmenter::graph(self.graph.clone()),
+        })
     }
 }
 

@@ -5,7 +5,7 @@ use image::RgbImage;
 use std::path::Path;
 
 /// What to do about HEIC pictures where they are not decoded.
-pub(super) const REMEDY: &str = "convert them to JPEG (`heif-convert IMG.HEIC IMG.jpg` or `magick IMG.HEIC \
+pub(crate) const REMEDY: &str = "convert them to JPEG (`heif-convert IMG.HEIC IMG.jpg` or `magick IMG.HEIC \
      IMG.jpg`), let the iPhone take JPEG (Settings, Camera, Formats, Most Compatible), or build tid3r with \
      `--features heic`";
 

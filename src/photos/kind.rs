@@ -5,7 +5,7 @@ use crate::{Error, Result};
 use std::{fs::File, io::Read, path::Path};
 
 /// As many bytes of a file as are looked at.
-pub(super) const HEAD: u64 = 64;
+pub(crate) const HEAD: u64 = 64;
 /// What to give instead of a file that is of no use.
 pub(super) const PHOTOS_WANTED: &str =
     "give PNG, JPEG, WebP, TIFF or PNM files, folders or ZIP files of them, or videos";
@@ -22,7 +22,7 @@ const HEIC_BRANDS: [&[u8; 4]; 8] = [
 
 /// What a file can be to tid3r.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(crate) enum Kind {
     /// A picture of a format that can be decoded; or it is called like one, and then is worth an error of
     /// its own when it is decoded.
     Picture,
@@ -47,6 +47,25 @@ impl Kind {
             .and_then(|file| file.take(HEAD).read_to_end(&mut head))
             .map_err(Error::io("read", path))?;
         Ok(Self::of(path, &head))
+    }
+
+    /// Of a file that begins so, whatever it is called.
+    pub(crate) fn of_bytes(head: &[u8]) -> Self {
+        Self::of(Path::new(""), head)
+    }
+
+    /// An ending for a file of this kind that begins so.
+    pub(crate) fn ending(self, head: &[u8]) -> &'static str {
+        match self {
+            Self::Picture => image::guess_format(head)
+                .ok()
+                .and_then(|format| format.extensions_str().first())
+                .unwrap_or(&"png"),
+            Self::Heic => "heic",
+            Self::Archive => "zip",
+            Self::Video => "mp4",
+            Self::Other => "bin",
+        }
     }
 
     /// Of a file that is called so and begins so.

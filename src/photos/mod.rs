@@ -15,8 +15,10 @@ mod sources;
 mod undistort;
 mod video;
 
+pub(crate) use heic::REMEDY as HEIC_REMEDY;
+pub(crate) use kind::{HEAD, Kind};
 pub use known_lens::KnownLens;
-pub(crate) use names::{PHOTO_ENDINGS, natural_key};
+pub(crate) use names::{PHOTO_ENDINGS, natural_key, safe_name};
 pub use network_frame::{
     FRAME_SIDE_LIMIT, NetworkFrame, PATCH, TRAINED_SIZE, network_frames, network_input,
 };
@@ -25,8 +27,6 @@ pub use pillow_resize::{PillowFilter, pillow_resize};
 pub use sources::{PHOTO_COUNT_LIMIT, PhotoSources};
 pub use undistort::undistorted;
 pub use video::{VideoChoice, VideoParams};
-
-use kind::Kind;
 
 use crate::{Error, Result, geometry::Intrinsics};
 use fast_image_resize as fir;
@@ -118,6 +118,9 @@ impl Photo {
     }
 }
 
+/// As many pixels as a photo may have: more than any telephone takes, and less than fill a machine's memory.
+pub const PHOTO_PIXELS_LIMIT: u64 = 1 << 28;
+
 /// Whether there is a ZIP file.
 pub(crate) fn is_archive(path: &Path) -> bool {
     Kind::of_file(path).is_ok_and(|kind| kind == Kind::Archive)
@@ -143,9 +146,14 @@ pub(crate) fn decode(bytes: Vec<u8>, path: &Path, as_stored: bool) -> Result<Rgb
         .into_decoder()
         .and_then(|mut decoder| {
             let orientation = decoder.orientation()?;
-            Ok((DynamicImage::from_decoder(decoder)?, orientation))
+            let (width, height) = decoder.dimensions();
+            if u64::from(width) * u64::from(height) > PHOTO_PIXELS_LIMIT {
+                return Ok(Err(format!("{width}x{height} pixels are too many")));
+            }
+            Ok(Ok((DynamicImage::from_decoder(decoder)?, orientation)))
         });
-    let (mut image, orientation) = decoded.map_err(|error| unreadable(path, error))?;
+    let decoded = decoded.map_err(|error| unreadable(path, error))?;
+    let (mut image, orientation) = decoded.map_err(|problem| unreadable(path, problem))?;
     if !as_stored {
         image.apply_orientation(orientation);
     }

@@ -125,6 +125,9 @@ impl PhotoSources {
             progress.begin("unpacking photos", to_unpack);
         }
         let photo = |(name, (called, origin)): (String, &(PathBuf, Origin<'_>))| {
+            if progress.is_cancelled() {
+                return Err(Error::Cancelled);
+            }
             let own = || folder.join(file_of(&name, called));
             let path = match origin {
                 Origin::File(path) => return Ok(Photo::new(name, *path)),

@@ -183,3 +183,14 @@ fn tiff_and_webp_files_that_are_cut_short_are_errors() {
         }
     }
 }
+
+#[test]
+fn a_small_file_of_a_picture_that_fills_the_memory_is_refused() {
+    let file = b"P6\n60000 60000\n255\n".to_vec();
+    let problem = decode(file, Path::new("bomb.ppm"), false).unwrap_err();
+    assert!(
+        problem
+            .to_string()
+            .contains("60000x60000 pixels are too many")
+    );
+}

@@ -1,12 +1,14 @@
 //! From photos to cameras and depth, and the removal of points that cannot be right.
 
 mod anomalies;
+mod from_photos;
 mod mvdust3r;
 mod recovery;
 mod stage;
 mod view_order;
 
 pub use anomalies::{CleanParams, Verdict, judge_points};
+pub use from_photos::FromPhotos;
 pub use mvdust3r::{FocalSource, MvDust3rParams, MvDust3rReconstructor, RunEstimate};
 pub use recovery::{
     Pointmap, RecoveredCamera, RecoveredView, Recovery, RecoveryError, RecoveryParams,

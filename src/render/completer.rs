@@ -1,9 +1,16 @@
 //! What completes projections, and in which steps.
 
 use super::{Projection, Reference, SplatParams, project};
-use crate::{Result, geometry::Camera, progress::Progress, scene::Cloud};
+use crate::{
+    Result,
+    geometry::Camera,
+    machine::{counted, readable_seconds},
+    progress::Progress,
+    scene::Cloud,
+};
 use image::RgbImage;
 use serde_json::{Value, json};
+use std::time::Instant;
 
 /// Turns sparse projections into whole pictures: the paper's I~_k = M(I^_k, M_k, {I_i}).
 ///
@@ -186,6 +193,42 @@ impl<'a, F: Fn(&Projection, &[Reference]) -> RgbImage> OneByOne<'a, F> {
 impl<F: Fn(&Projection, &[Reference]) -> RgbImage> Completion for OneByOne<'_, F> {
     fn steps(&self) -> &[Step] {
         &self.steps
+    }
+
+    /// By trying: the first view is projected, and completed in small. The work goes with the pixels.
+    fn estimate(&self) -> Result<Option<String>> {
+        const SMALL: f64 = 96.0;
+        let Views {
+            cloud,
+            splats,
+            references,
+            cameras,
+            ..
+        } = self.views;
+        let Some((_, camera)) = cameras.first() else {
+            return Ok(None);
+        };
+        let start = Instant::now();
+        project(cloud, camera, splats);
+        let to_project = start.elapsed().as_secs_f64();
+        let [width, height] = [camera.intrinsics.width, camera.intrinsics.height];
+        let scale = (SMALL / f64::from(width.max(height))).min(1.0);
+        let [w, h] = [width, height].map(|side| ((f64::from(side) * scale) as u32).max(1));
+        let small = Camera {
+            intrinsics: camera.intrinsics.resized(w, h),
+            ..*camera
+        };
+        let projection = project(cloud, &small, splats);
+        let start = Instant::now();
+        (self.complete)(&projection, references);
+        let pixels = f64::from(width) * f64::from(height) / (f64::from(w) * f64::from(h));
+        let to_complete = start.elapsed().as_secs_f64() * pixels;
+        let seconds = cameras.len() as f64 * (to_project + to_complete);
+        Ok(Some(format!(
+            "{} at {width}x{height}: about {}",
+            counted(cameras.len(), "view"),
+            readable_seconds(seconds.max(1.0))
+        )))
     }
 
     fn take(&mut self, step: usize, _: &dyn Kept, _: &mut dyn Follower) -> Result<Vec<Completed>> {

@@ -10,6 +10,7 @@ use std::{
     io::{self, BufWriter, Write},
     path::Path,
 };
+use tempfile::NamedTempFile;
 
 /// What names of unfinished files begin with; left behind only by a killed process.
 pub const TEMPORARY_PREFIX: &str = ".tid3r-unfinished-";
@@ -22,6 +23,21 @@ pub fn write_atomically(
     path: &Path,
     content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> Result<()> {
+    let mut writer = BufWriter::new(unfinished(path)?);
+    content(&mut writer)
+        .and_then(|()| writer.flush())
+        .map_err(Error::io("write", path))?;
+    let file = writer
+        .into_inner()
+        .map_err(|error| Error::io("write", path)(error.into_error()))?;
+    finish(file, path)
+}
+
+/// A file under a temporary name beside `path`, which is gone again if it is dropped before it is whole.
+///
+/// # Errors
+/// When the folder cannot be created or written to.
+pub(crate) fn unfinished(path: &Path) -> Result<NamedTempFile> {
     let folder = path.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
     let mut builder = tempfile::Builder::new();
@@ -29,16 +45,16 @@ pub fn write_atomically(
     // Temporary files are private by default; these become ordinary ones.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder
+    builder
         .tempfile_in(folder)
-        .map_err(Error::io("write", path))?;
-    let mut writer = BufWriter::new(file);
-    content(&mut writer)
-        .and_then(|()| writer.flush())
-        .map_err(Error::io("write", path))?;
-    let file = writer
-        .into_inner()
-        .map_err(|error| Error::io("write", path)(error.into_error()))?;
+        .map_err(Error::io("write", path))
+}
+
+/// Renames an unfinished file, which is whole now, to `path`.
+///
+/// # Errors
+/// When that cannot be done.
+pub(crate) fn finish(file: NamedTempFile, path: &Path) -> Result<()> {
     file.as_file()
         .sync_all()
         .map_err(Error::io("write", path))?;

@@ -62,6 +62,11 @@ impl Role {
 }
 
 impl WriteLock {
+    /// Whether a folder has been written to as a scene's, if only to begin one.
+    pub(crate) fn was_acquired(folder: &Path) -> bool {
+        folder.join(LOCK).exists()
+    }
+
     /// Creates `folder` if need be, locks it, and clears away what a killed process left unfinished.
     ///
     /// # Errors
@@ -69,7 +74,7 @@ impl WriteLock {
     /// be written to.
     pub fn acquire(folder: &Path) -> Result<Self> {
         let path = folder.join(LOCK);
-        if !path.exists() && folder.is_dir() {
+        if !Self::was_acquired(folder) && folder.is_dir() {
             let mut entries = fs::read_dir(folder).map_err(Error::io("read", folder))?;
             if !folder.join(MANIFEST).exists() && entries.next().is_some() {
                 return Err(Error::file(

@@ -1,6 +1,7 @@
 //! From frames to masks, and from masks to instances.
 
 mod coco_rle;
+mod described;
 pub mod graph;
 mod label_images;
 mod mask;
@@ -12,6 +13,7 @@ mod steps;
 pub mod unify;
 
 pub use coco_rle::CocoRle;
+pub use described::DescribedSegmenter;
 pub use graph::{GraphParams, GraphSegmenter};
 pub use label_images::LabelImages;
 pub use mask::{Containment, Labels, Mask, MaskParams, by_area, painted, without_duplicates};

@@ -116,6 +116,9 @@ impl Segmentation<'_> {
             if let Some(labels) = finished {
                 return Ok(labels);
             }
+            if progress.is_cancelled() {
+                return Err(Error::Cancelled);
+            }
             let mut steps = Steps::new(progress);
             let masks = self
                 .segmenter

@@ -6,7 +6,7 @@ macro_rules! assets {
     };
 }
 
-/// Their names, and what is in them.
+/// Those of the page about a scene: their names, and what is in them.
 pub(super) const ASSETS: &[(&str, &str)] = assets![
     "index.html",
     "style.css",
@@ -20,6 +20,7 @@ pub(super) const ASSETS: &[(&str, &str)] = assets![
     "edits.js",
     "gl.js",
     "help.js",
+    "jobs.js",
     "lasso.js",
     "math.js",
     "panel.js",
@@ -30,3 +31,7 @@ pub(super) const ASSETS: &[(&str, &str)] = assets![
     "shaders.js",
     "store.js",
 ];
+
+/// What the page has beyond these where there is no scene yet.
+pub(super) const START_ASSETS: &[(&str, &str)] =
+    assets!["start.html", "start.css", "start.js", "files.js"];

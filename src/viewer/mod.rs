@@ -3,7 +3,8 @@
 //! - `points`: the cloud as bytes for the graphics card
 //! - `session`: the scene that is open, as its edits left it; every change goes through [`crate::edit`]
 //! - `action`: what the page asks to be changed
-//! - `jobs`: renderings, one at a time, on a thread of their own; `gallery`: what came of them
+//! - `start`: a folder in which a scene is to be made; `uploads`: what it is made of, as it comes from the page
+//! - `jobs`: making a scene and renderings, one at a time, on a thread of their own; `gallery`: what came of them
 //! - `offline`: the page with a scene in it, as one file
 //! - `server`: HTTP, and who may speak to it; all that is asynchronous is in there
 //! - `page/`: HTML, CSS and JavaScript modules, which are part of the binary
@@ -18,6 +19,9 @@ mod photo;
 mod points;
 mod server;
 mod session;
+mod start;
+mod uploads;
 
 pub use server::{Address, serve};
 pub use session::Options;
+pub use start::{is_free, usual_folder};

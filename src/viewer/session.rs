@@ -11,12 +11,26 @@ use std::{
     path::{Path, PathBuf},
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, Weak},
 };
+use tid3r_weights_convert::Places;
 
 /// What the page can be told to work with.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Folder of See3D's weights, or `synthetic-tiny`; where they are usually found if `None`.
-    pub see3d_weights: Option<PathBuf>,
+    /// Folder of all weights, with a folder in it for each network; where they are usually found if `None`.
+    pub weights: Option<PathBuf>,
+    /// Use a small made-up See3D.
+    pub tiny_see3d: bool,
+}
+
+impl Options {
+    /// Where weights are looked for.
+    pub(super) fn places(&self) -> Places {
+        let places = Places::of_environment();
+        match &self.weights {
+            Some(folder) => places.with_models(folder),
+            None => places,
+        }
+    }
 }
 
 /// A scene that the page looks at and changes.

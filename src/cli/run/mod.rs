@@ -13,7 +13,7 @@ use tid3r::{
     Error,
     edit::{self, Edit, EditList, InstanceList},
     exchange::ply,
-    progress::Progress,
+    progress::{Part, Progress},
     reconstruct::{CleanParams, CleanReport, clean},
     render::{Completer, EditedScene, ViewFiles, Written},
     scene::{Scene, Stage, WriteLock},
@@ -139,9 +139,10 @@ impl Steps<'_> {
         work: impl FnOnce(&dyn Progress) -> Result<(T, bool)>,
     ) -> Result<T> {
         let start = Instant::now();
-        let progress = Numbered {
-            step: self.all.len() + 1,
-            terminal: self.terminal,
+        let progress = Part {
+            number: self.all.len() + 1,
+            of: STEPS,
+            progress: self.terminal,
         };
         let (result, done) = work(&progress)?;
         self.all.push(Step {
@@ -155,31 +156,6 @@ impl Steps<'_> {
 
 /// How many steps there are.
 const STEPS: usize = 5;
-
-/// Shows progress with the number of the step it belongs to.
-struct Numbered<'a> {
-    step: usize,
-    terminal: &'a Terminal,
-}
-
-impl Progress for Numbered<'_> {
-    fn begin(&self, task: &str, total: usize) {
-        let task = format!("{}/{STEPS} {task}", self.step);
-        self.terminal.begin(&task, total);
-    }
-
-    fn advance(&self, steps: usize) {
-        self.terminal.advance(steps);
-    }
-
-    fn end(&self) {
-        self.terminal.end();
-    }
-
-    fn note(&self, text: &str) {
-        self.terminal.note(text);
-    }
-}
 
 impl Run {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {

@@ -6,7 +6,7 @@ use super::{
     sharpness::sharpness,
     tool::{Tool, failed},
 };
-use crate::{Result, progress::Progress};
+use crate::{Error, Result, progress::Progress};
 use serde_json::Value;
 use std::{
     io::{self, Read},
@@ -80,8 +80,14 @@ pub(super) fn samples(video: &Path, wanted: usize, progress: &dyn Progress) -> R
         "looking through the video",
         usize::try_from(expected).unwrap_or(usize::MAX),
     );
-    let values = sharpnesses(&mut ffmpeg.output, || progress.advance(1));
+    let values = sharpnesses(&mut ffmpeg.output, || {
+        progress.advance(1);
+        !progress.is_cancelled()
+    });
     progress.end();
+    if progress.is_cancelled() {
+        return Err(Error::Cancelled);
+    }
     let values = values.map_err(|problem| failed("ffmpeg", video, &problem.to_string()))?;
     ffmpeg.finish(video)?;
     let moments = heard
@@ -112,8 +118,8 @@ fn step(length: Option<u64>, wanted: usize) -> u64 {
     fine.clamp(1, CLOSEST).max(length / SAMPLES)
 }
 
-/// The sharpness of each grey frame that comes.
-fn sharpnesses(frames: &mut impl Read, looked_at: impl Fn()) -> io::Result<Vec<f64>> {
+/// The sharpness of each grey frame that comes, for as long as `goes_on` says so after each.
+fn sharpnesses(frames: &mut impl Read, goes_on: impl Fn() -> bool) -> io::Result<Vec<f64>> {
     let mut values = Vec::new();
     let mut frame = Vec::with_capacity(GREY_SIDE * GREY_SIDE);
     loop {
@@ -132,7 +138,9 @@ fn sharpnesses(frames: &mut impl Read, looked_at: impl Fn()) -> io::Result<Vec<f
             return Err(io::Error::other("it does not end"));
         }
         values.push(sharpness(&frame, GREY_SIDE));
-        looked_at();
+        if !goes_on() {
+            return Ok(values);
+        }
     }
 }
 
@@ -217,7 +225,7 @@ mod tests {
     #[test]
     fn grey_frames_are_whole_or_refused() {
         let bytes = |frames: usize, more: usize| vec![9; frames * GREY_SIDE * GREY_SIDE + more];
-        let values = |bytes: Vec<u8>| sharpnesses(&mut &*bytes, || {});
+        let values = |bytes: Vec<u8>| sharpnesses(&mut &*bytes, || true);
         assert_eq!(values(bytes(3, 0)).unwrap(), [0.0; 3]);
         assert!(values(bytes(0, 0)).unwrap().is_empty());
         assert!(values(bytes(2, 5)).is_err());

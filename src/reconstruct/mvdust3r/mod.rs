@@ -28,7 +28,7 @@ use tid3r_models::{
     ComputeType, Weights,
     mvdust3r::{Config, MvDust3r, Observer, Options, ViewOutput},
 };
-use tid3r_weights_convert::{self as convert, Found};
+use tid3r_weights_convert::{self as convert, Found, Network, Places};
 
 /// Reconstructs photos with MV-DUSt3R or MV-DUSt3R+.
 ///
@@ -45,6 +45,21 @@ pub struct MvDust3rReconstructor {
 }
 
 impl MvDust3rReconstructor {
+    /// The networks that reconstruct, by name, the better one first.
+    pub const NETWORKS: [&str; 2] = ["mvdust3r-plus", "mvdust3r"];
+
+    /// The weights of the better one that is in `places`.
+    ///
+    /// # Errors
+    /// When there are none: the message says what to get from where.
+    pub fn find_weights(places: &Places) -> Result<Found> {
+        let found = |name: &&str| places.find(Network::named(name).ok()?, None).ok();
+        match Self::NETWORKS.iter().find_map(found) {
+            Some(found) => Ok(found),
+            None => Ok(places.find(Network::named(Self::NETWORKS[0])?, None)?),
+        }
+    }
+
     /// With the weights that were found. They are mapped, not read.
     ///
     /// # Errors
@@ -142,6 +157,9 @@ impl MvDust3rReconstructor {
         let mut watch = Watch::begin(estimate.work(), progress);
         let outputs = network.forward(&images, &options, &mut watch);
         progress.end();
+        if progress.is_cancelled() {
+            return Err(Error::Cancelled);
+        }
         let mut paths = outputs.map_err(failed)?;
         Ok(paths.swap_remove(0))
     }
@@ -369,6 +387,17 @@ impl<'a> Watch<'a> {
 }
 
 impl Observer for Watch<'_> {
+    fn stage(
+        &mut self,
+        _: &str,
+        _: &dyn Fn() -> candle_core::Result<Tensor>,
+    ) -> candle_core::Result<()> {
+        match self.progress.is_cancelled() {
+            true => Err(candle_core::Error::Msg("stopped".into())),
+            false => Ok(()),
+        }
+    }
+
     fn advance(&mut self, multiply_adds: f64) {
         self.done += multiply_adds;
         let share = (self.done / self.total).clamp(0.0, 1.0);

@@ -8,7 +8,7 @@ use super::{
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{available_memory, readable_bytes, readable_seconds},
+    machine::{available_memory, counted, readable_bytes, readable_seconds},
 };
 use serde::{Deserialize, Serialize};
 use tid3r_models::{
@@ -295,9 +295,4 @@ impl Plan {
         all.extend(tile.map(|side| format!("pictures are coded in tiles of {side} pixels")));
         (!all.is_empty()).then(|| format!("so that memory suffices: {}", all.join(", ")))
     }
-}
-
-fn counted(count: usize, what: &str) -> String {
-    let ending = if count == 1 { "" } else { "s" };
-    format!("{count} {what}{ending}")
 }

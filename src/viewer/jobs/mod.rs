@@ -1,5 +1,6 @@
 //! Work that takes long: one job at a time, on a thread of its own.
 
+pub(super) mod make;
 pub(super) mod render;
 mod video;
 
@@ -53,6 +54,8 @@ pub(super) struct Job {
     pub(super) total: usize,
     /// Since it began.
     pub(super) seconds: f64,
+    /// Since the task began.
+    pub(super) task_seconds: f64,
     /// What it had to tell.
     pub(super) notes: Vec<String>,
     /// Why it failed.
@@ -60,6 +63,8 @@ pub(super) struct Job {
     pub(super) problem: Option<String>,
     #[serde(skip)]
     started: Option<Instant>,
+    #[serde(skip)]
+    task_started: Option<Instant>,
     /// Of this attempt: it may be started again while an earlier one is still in the queue.
     #[serde(skip)]
     wanted: Arc<AtomicBool>,
@@ -117,7 +122,8 @@ impl Queue {
         })
     }
 
-    /// Adds a job, called by its id: that of its place in the gallery. Takes the place of one that has ended.
+    /// Adds a job, called by its id: a rendering's is that of its place in the gallery. Takes the place of one that
+    /// has ended.
     ///
     /// # Errors
     /// When too many wait already, or the job of this id does or runs.
@@ -125,11 +131,11 @@ impl Queue {
         let mut all = lock(&self.jobs.all);
         let waiting = all.values().filter(|job| job.state == State::Queued);
         if waiting.count() >= MOST_WAITING {
-            let problem = format!("{MOST_WAITING} renderings wait already");
+            let problem = format!("{MOST_WAITING} jobs wait already");
             return Err(Error::request(problem, "cancel some, or wait"));
         }
         if all.get(&id).is_some_and(|job| job.state.goes_on()) {
-            let problem = format!("rendering {id} is under way already");
+            let problem = format!("job {id} is under way already");
             return Err(Error::request(problem, "wait for it"));
         }
         let wanted = Arc::new(AtomicBool::new(true));
@@ -141,9 +147,11 @@ impl Queue {
             done: 0,
             total: 0,
             seconds: 0.0,
+            task_seconds: 0.0,
             notes: Vec::new(),
             problem: None,
             started: None,
+            task_started: None,
             wanted: Arc::clone(&wanted),
         };
         all.insert(id, job);
@@ -160,8 +168,9 @@ impl Queue {
     pub(super) fn all(&self) -> Vec<Job> {
         let mut all: Vec<Job> = lock(&self.jobs.all).values().cloned().collect();
         for job in &mut all {
-            if let (State::Running, Some(started)) = (job.state, job.started) {
-                job.seconds = started.elapsed().as_secs_f64();
+            if job.state == State::Running {
+                job.seconds = since(job.started);
+                job.task_seconds = since(job.task_started);
             }
         }
         all
@@ -183,7 +192,7 @@ impl Queue {
         if cancelled == Some(true) {
             return Ok(());
         }
-        let problem = format!("there is no rendering {id} that waits or runs");
+        let problem = format!("there is no job {id} that waits or runs");
         Err(Error::request(problem, "reload the page"))
     }
 
@@ -244,10 +253,11 @@ impl Jobs {
         // What a job leaves half done is in files with temporary names only.
         let result = catch_unwind(AssertUnwindSafe(|| work(&reporter)));
         self.with(id, |job| {
-            job.seconds = job.started.map_or(0.0, |at| at.elapsed().as_secs_f64());
+            job.seconds = since(job.started);
             (job.state, job.problem) = match result {
                 Ok(Ok(())) => (State::Done, None),
-                Ok(Err(Error::Cancelled)) => (State::Cancelled, None),
+                // Whatever goes wrong then, nobody asked for.
+                Ok(Err(_)) if !wanted.load(Ordering::Relaxed) => (State::Cancelled, None),
                 Ok(Err(error)) => (State::Failed, Some(error.to_string())),
                 Err(_) => (
                     State::Failed,
@@ -259,6 +269,11 @@ impl Jobs {
             };
         });
     }
+}
+
+/// Seconds that have passed.
+fn since(moment: Option<Instant>) -> f64 {
+    moment.map_or(0.0, |moment| moment.elapsed().as_secs_f64())
 }
 
 /// Takes a job's progress down.
@@ -285,6 +300,7 @@ impl Progress for Reporter<'_> {
     fn begin(&self, task: &str, total: usize) {
         self.jobs.with(self.id, |job| {
             (job.task, job.done, job.total) = (task.to_string(), 0, total);
+            job.task_started = Some(Instant::now());
         });
     }
 

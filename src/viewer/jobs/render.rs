@@ -20,7 +20,6 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 use std::{path::PathBuf, sync::Arc};
-use tid3r_weights_convert::Places;
 
 /// Views to be rendered.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -102,11 +101,9 @@ pub(in crate::viewer) fn choices(options: &Options) -> Vec<Choice> {
 }
 
 fn see3d(options: &Options, params: &See3dParams) -> Result<See3d> {
-    let places = Places::of_environment();
-    let weights = match &options.see3d_weights {
-        Some(name) if name.as_os_str() == "synthetic-tiny" => See3dWeights::synthetic_tiny(params)?,
-        Some(folder) => See3dWeights::find(&places.with_models(folder), params)?,
-        None => See3dWeights::find(&places, params)?,
+    let weights = match options.tiny_see3d {
+        true => See3dWeights::synthetic_tiny(params)?,
+        false => See3dWeights::find(&options.places(), params)?,
     };
     Ok(See3d::new(weights, params))
 }

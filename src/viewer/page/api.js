@@ -48,6 +48,28 @@ export async function getChunk(version, chunk, signal) {
 
 /** Where a photo is. @param {string | undefined} version @param {number} index */
 export const photoAddress = (version, index) => own?.photos[index] ?? `/api/photos/${version}/${index}`;
+/** Sends a file. @param {File} file @param {(share: number) => void} tell how much has been sent
+ * @param {AbortSignal} signal @returns {Promise<any>} what became of it */
+export function sendFile(file, tell, signal) {
+  const request = new XMLHttpRequest();
+  request.open("POST", `/api/uploads/${encodeURIComponent(file.name)}`);
+  request.setRequestHeader("Content-Type", "application/octet-stream");
+  request.responseType = "json";
+  request.upload.onprogress = ({ loaded, total }) => tell(total ? loaded / total : 0);
+  signal.addEventListener("abort", () => request.abort());
+  return new Promise((resolve, reject) => {
+    const refuse = (/** @type {string} */ problem, /** @type {string} */ remedy) => reject(new Refusal(request.status, problem, remedy));
+    request.onload = () => {
+      const { problem = "the server takes no file", remedy = "reload the page" } = request.response ?? {};
+      if (request.status === 200) resolve(request.response);
+      else refuse(problem, remedy);
+    };
+    request.onerror = () => refuse("the connection broke off", "see whether `tid3r view` still runs, and send it again");
+    request.onabort = () => refuse("it was not sent", "");
+    request.send(file);
+  });
+}
+
 /** @param {string} path @param {unknown} content @param {string} [method] */
 export async function send(path, content = null, method = "POST") {
   const headers = { "Content-Type": "application/json" };

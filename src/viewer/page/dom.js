@@ -30,6 +30,8 @@ const ICONS = {
   lasso: "M12 4c5 0 9 2.500 9 6s-4 6-9 6-9-2.500-9-6 4-6 9-6Zm-4 11c-2 2-1 5 2 5",
   help: "M9 9a3 3 0 1 1 4.500 2.600c-1 .6-1.500 1.200-1.500 2.400m0 3v.5M12 22a10 10 0 1 0 0-20 10 10 0 0 0 0 20Z",
   close: "M5 5l14 14M19 5 5 19",
+  film: "M3 5h18v14H3Zm4 0v14M17 5v14M3 12h18M3 8.500h4M3 15.500h4m10-7h4m-4 7h4",
+  box: "M4 8l8-4 8 4v9l-8 4-8-4Zm0 0 8 4 8-4m-8 4v9",
   bin: "M4 7h16M9 7V4h6v3m-8 0 1 13h8l1-13",
 };
 
@@ -64,6 +66,10 @@ export function say(text, more = "", bad = false) {
 
 /** @param {number} count */
 export const readable = (count) => count.toLocaleString("en");
+
+/** @param {number} bytes */
+export const size = (bytes) => bytes < 1e6 ? `${Math.max(1, Math.round(bytes / 1e3))} kB`
+  : bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(1)} GB`;
 
 /** Seconds in words. @param {number} seconds */
 export function duration(seconds) {

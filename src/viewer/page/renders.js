@@ -1,12 +1,12 @@
 // Rendering: what is asked for, how far it is, and what came of it.
 
 import { get, send } from "./api.js";
-import { complain, duration, el, find, icon, say } from "./dom.js";
+import { complain, el, find, icon, say } from "./dom.js";
+import { MAKING, JobCard, goesOn, listenToJobs } from "./jobs.js";
 import { address } from "./photos.js";
 import { state } from "./store.js";
 
-/** @typedef {{id: number, title: string, state: string, task: string, done: number, total: number, seconds: number,
- *   notes: string[], problem?: string}} Job */
+/** @typedef {import("./jobs.js").Job} Job */
 /** @typedef {{id: number, title: string, completion: string, views: {name: string, photo?: number, done: boolean}[], video: boolean}} Entry */
 
 /** @type {Job[]} */
@@ -15,6 +15,8 @@ let jobs = [];
 let entries = [];
 /** @type {{id: string, title: string, problem?: string}[]} */
 let completions = [];
+/** By the job's id. @type {Map<number, JobCard>} */
+const cards = new Map();
 /** Corners of a camera path. @type {import("./store.js").Camera[]} */
 const keys = [];
 /** @type {import("./camera.js").View} */
@@ -23,13 +25,10 @@ let view;
 /** Asks what there is, and listens for what happens. @param {import("./camera.js").View} from */
 export async function start(from) {
   view = from;
-  const source = new EventSource("/api/events");
-  source.addEventListener("jobs", (event) => news(JSON.parse(event.data)).catch(complain));
+  listenToJobs((all) => news(all.filter((job) => job.id !== MAKING)).catch(complain));
   [completions, entries] = await Promise.all([get("/api/completions"), get("/api/gallery")]);
   build();
 }
-
-const goesOn = (/** @type {Job} */ job) => job.state === "queued" || job.state === "running";
 
 /** @param {Job[]} now */
 async function news(now) {
@@ -124,18 +123,10 @@ function choose() {
 async function estimate() {
   try {
     const { estimate } = await send("/api/estimate", request());
-    find("#estimate").textContent = estimate ?? guess();
+    find("#estimate").textContent = estimate ?? "";
   } catch (error) {
     complain(error);
   }
-}
-
-/** What is likely, going by what was rendered before. */
-function guess() {
-  const done = jobs.filter((job) => job.state === "done" && job.total > 0);
-  const last = done.at(-1);
-  if (!last) return "Without a network, moments for each view. Nothing has been rendered yet that would tell more.";
-  return `The last rendering took ${duration(last.seconds)} (${last.total} steps).`;
 }
 
 /** @param {Event} event */
@@ -156,19 +147,14 @@ function drawJobs() {
   const place = find("#jobs");
   if (!place) return;
   const shown = jobs.filter((job) => goesOn(job) || job.state === "failed").reverse();
-  place.replaceChildren(...shown.map((job) => {
-    const left = job.state === "running" && job.done > 0 ? (job.seconds * (job.total - job.done)) / job.done : 0;
-    const words = { queued: "waits", running: job.task || "begins", failed: job.problem }[job.state];
-    const share = job.total ? Math.round((100 * job.done) / job.total) : 0;
-    const bar = el("i");
-    bar.style.width = `${share}%`;
-    return el("article", { class: `job ${job.state}`, "data-job": job.id },
-      el("header", {}, el("strong", {}, job.title),
-        goesOn(job) && el("button", { class: "cancel", onclick: () => send(`/api/jobs/${job.id}/cancel`).catch(complain) }, "Cancel")),
-      el("p", {}, words, left > 1 && `, ${duration(left)} left`),
-      goesOn(job) && el("div", { class: "progress", role: "progressbar", "aria-valuenow": share, "aria-label": job.title }, bar),
-      ...job.notes.map((note) => el("p", { class: "quiet-note" }, note)));
-  }));
+  for (const id of cards.keys()) if (!shown.some((job) => job.id === id)) cards.delete(id);
+  const wanted = shown.map((job) => {
+    const card = cards.get(job.id) ?? new JobCard();
+    cards.set(job.id, card);
+    return card.show(job);
+  });
+  // What is taken out and put back loses the focus.
+  if (wanted.length !== place.children.length || wanted.some((card, k) => card !== place.children[k])) place.replaceChildren(...wanted);
 }
 
 /** @param {Entry} entry @param {string} name @param {string} kind */

@@ -9,6 +9,7 @@ use axum::{
 };
 use serde::{Serialize, de::DeserializeOwned};
 use serde_json::json;
+use tid3r_weights_convert::Error as OfWeights;
 
 /// Why there is no other answer.
 #[derive(Debug)]
@@ -41,14 +42,20 @@ impl Failure {
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         match error {
-            Error::Request { problem, remedy } => {
+            Error::Request { problem, remedy }
+            | Error::Weights(OfWeights::Request { problem, remedy }) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, problem, remedy)
             }
             Error::File {
                 path,
                 problem,
                 remedy,
-            } => {
+            }
+            | Error::Weights(OfWeights::File {
+                path,
+                problem,
+                remedy,
+            }) => {
                 let problem = format!("{}: {problem}", path.display());
                 Self::new(StatusCode::CONFLICT, problem, remedy)
             }

@@ -5,11 +5,15 @@ mod assets;
 mod events;
 mod guard;
 mod routes;
+mod start;
+#[cfg(test)]
+mod tests;
 
 use super::{
     gallery::Gallery,
     jobs::Queue,
     session::{Options, Session},
+    start::{Start, is_free},
 };
 use crate::{Error, Result};
 use axum::middleware;
@@ -20,10 +24,10 @@ use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr},
     path::Path,
     pin::pin,
-    sync::Arc,
+    sync::{Arc, OnceLock},
     time::Duration,
 };
-use tokio::{net::TcpListener, sync::watch};
+use tokio::{net::TcpListener, runtime::Runtime, sync::watch};
 
 /// Where the page is served.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,7 +40,10 @@ pub struct Address {
 
 /// What all requests share.
 struct Shared {
-    session: Arc<Session>,
+    /// The scene, once there is one.
+    session: Arc<OnceLock<Arc<Session>>>,
+    /// Where it is to be, if there was none.
+    start: Option<Arc<Start>>,
     gallery: Gallery,
     queue: Queue,
     options: Options,
@@ -51,37 +58,49 @@ const THREADS: usize = 8;
 /// Answers that are under way get this long once the server ends.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Serves the page about a scene until the process is told to end (Ctrl-C). `ready` is called once with the page's
-/// address.
+/// Serves the page about a scene, or one on which photos are dropped to make it if [there is none yet](is_free), until
+/// the process is told to end (Ctrl-C). `ready` is called once with the page's address.
 ///
 /// # Errors
-/// When there is no scene, or the address cannot be had.
+/// When there is something else where the scene should be, or the address cannot be had.
 pub fn serve(
     scene: &Path,
     options: Options,
     address: &Address,
     ready: impl FnOnce(&str),
 ) -> Result<()> {
-    let session = Arc::new(Session::open(scene)?);
-    let changes = watch::Sender::new(0);
-    let told = changes.clone();
-    let shared = Arc::new(Shared {
-        gallery: Gallery::of(scene),
-        queue: Queue::new(move || told.send_modify(|count| *count += 1))?,
-        session,
-        options,
-        changes,
-        ending: watch::Sender::new(false),
-    });
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .max_blocking_threads(THREADS)
-        .build()
-        .map_err(|error| cannot("start the server", &error))?;
+    let shared = Arc::new(shared(scene, options)?);
+    let runtime = runtime()?;
     let served = runtime.block_on(run(&shared, address, ready));
     // What blocks ends with the process.
     runtime.shutdown_background();
     served
+}
+
+fn shared(scene: &Path, options: Options) -> Result<Shared> {
+    let (session, start) = match is_free(scene) {
+        true => (OnceLock::new(), Some(Arc::new(Start::at(scene)?))),
+        false => (Arc::new(Session::open(scene)?).into(), None),
+    };
+    let changes = watch::Sender::new(0);
+    let told = changes.clone();
+    Ok(Shared {
+        gallery: Gallery::of(scene),
+        queue: Queue::new(move || told.send_modify(|count| *count += 1))?,
+        session: Arc::new(session),
+        start,
+        options,
+        changes,
+        ending: watch::Sender::new(false),
+    })
+}
+
+fn runtime() -> Result<Runtime> {
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(THREADS)
+        .build()
+        .map_err(|error| cannot("start the server", &error))
 }
 
 async fn run(shared: &Arc<Shared>, address: &Address, ready: impl FnOnce(&str)) -> Result<()> {

@@ -7,12 +7,12 @@ use super::{
         gallery::{Picture, VIDEO},
         jobs::{RenderRequest, render::choices},
         photo::jpeg,
-        session::Snapshot,
+        session::{Session, Snapshot},
     },
     Shared,
     answer::{Answer, Failure, Sent, blocking, json_of, lasting},
     assets::asset,
-    events,
+    events, start,
 };
 use crate::{
     Error,
@@ -33,11 +33,17 @@ type Common = State<Arc<Shared>>;
 
 pub(super) fn routes(shared: Arc<Shared>) -> Router {
     Router::new()
-        .route("/", get(async || asset("index.html")))
+        .route("/", get(page))
         .route(
             "/assets/{name}",
             get(async |Path(name): Path<String>| asset(&name)),
         )
+        .route("/api/start", get(start::describe).post(start::make))
+        .route(
+            "/api/uploads/{upload}",
+            post(start::upload).delete(start::remove),
+        )
+        .route("/api/uploads/{upload}/thumbnail", get(start::thumbnail))
         .route("/api/scene", get(scene))
         .route("/api/cloud/{version}/{chunk}", get(chunk))
         .route("/api/photos/{version}/{photo}", get(photo))
@@ -65,8 +71,25 @@ pub(super) fn routes(shared: Arc<Shared>) -> Router {
         .with_state(shared)
 }
 
+impl Shared {
+    /// The scene.
+    fn session(&self) -> Result<&Arc<Session>, Failure> {
+        self.session.get().ok_or_else(|| {
+            let problem = "there is no scene yet";
+            Failure::new(StatusCode::CONFLICT, problem, "make one: reload the page")
+        })
+    }
+}
+
+async fn page(State(shared): Common) -> Answer {
+    asset(match shared.session.get() {
+        Some(_) => "index.html",
+        None => "start.html",
+    })
+}
+
 async fn scene(State(shared): Common) -> Answer {
-    blocking(move || describe(&*shared.session.refreshed()?)).await
+    blocking(move || describe(&*shared.session()?.refreshed()?)).await
 }
 
 fn describe(snapshot: &Snapshot) -> Answer {
@@ -74,12 +97,12 @@ fn describe(snapshot: &Snapshot) -> Answer {
 }
 
 async fn edit(State(shared): Common, Sent(action): Sent<Action>) -> Answer {
-    blocking(move || describe(&*shared.session.change(action)?)).await
+    blocking(move || describe(&*shared.session()?.change(action)?)).await
 }
 
 /// The scene as the page knows it.
 fn current(shared: &Shared, version: &str) -> Result<Arc<Snapshot>, Failure> {
-    let snapshot = shared.session.current();
+    let snapshot = shared.session()?.current();
     if snapshot.version == version {
         return Ok(snapshot);
     }
@@ -91,7 +114,7 @@ fn current(shared: &Shared, version: &str) -> Result<Arc<Snapshot>, Failure> {
 }
 
 /// A number in an address.
-fn number(text: &str) -> Result<usize, Failure> {
+pub(super) fn number(text: &str) -> Result<usize, Failure> {
     text.parse().map_err(|_| Failure::missing("such number"))
 }
 
@@ -132,7 +155,7 @@ async fn completions(State(shared): Common) -> Answer {
 
 async fn estimate(State(shared): Common, Sent(request): Sent<RenderRequest>) -> Answer {
     blocking(move || {
-        let words = request.estimate(&shared.session.current(), &shared.options)?;
+        let words = request.estimate(&shared.session()?.current(), &shared.options)?;
         json_of(&json!({ "estimate": words }))
     })
     .await
@@ -141,11 +164,9 @@ async fn estimate(State(shared): Common, Sent(request): Sent<RenderRequest>) -> 
 async fn render(State(shared): Common, Sent(request): Sent<RenderRequest>) -> Answer {
     blocking(move || {
         let Shared {
-            session,
-            gallery,
-            options,
-            ..
+            gallery, options, ..
         } = &*shared;
+        let session = shared.session()?;
         let lock = session.write_lock()?;
         let id = request.keep(&session.current(), gallery, options, &lock)?;
         begin(&shared, id).inspect_err(|_| {
@@ -166,7 +187,7 @@ fn begin(shared: &Shared, id: u32) -> Answer {
     let entry = shared.gallery.entry(id);
     let entry = entry.ok_or_else(|| Failure::missing("such rendering"))?;
     let folder = shared.gallery.folder_of(id);
-    let work = (entry.request).work(&shared.session, folder, &shared.options)?;
+    let work = (entry.request).work(shared.session()?, folder, &shared.options)?;
     shared.queue.push(id, entry.title, work)?;
     json_of(&json!({ "id": id }))
 }
@@ -195,7 +216,12 @@ async fn export(State(shared): Common, Path(format): Path<String>) -> Answer {
             depth: false,
             max_points: 0,
         };
-        crate::export::export(&shared.session.refreshed()?.scene, format, &path, &params)?;
+        crate::export::export(
+            &shared.session()?.refreshed()?.scene,
+            format,
+            &path,
+            &params,
+        )?;
         let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
         let headers = [
             (header::CONTENT_TYPE, "application/octet-stream".to_string()),
@@ -220,7 +246,7 @@ async fn delete(State(shared): Common, Path(entry): Path<String>, _: Sent<()>) -
             let problem = format!("rendering {id} has not ended");
             return Err(Error::request(problem, "cancel it first").into());
         }
-        let lock = shared.session.write_lock()?;
+        let lock = shared.session()?.write_lock()?;
         shared.gallery.delete(id, &lock)?;
         shared.queue.forget(id);
         Ok(StatusCode::NO_CONTENT.into_response())

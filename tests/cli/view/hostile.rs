@@ -130,7 +130,7 @@ fn hostile_requests_are_refused() {
         .assert_refused(422, "no rendering 1");
     server
         .send("/api/jobs/7/cancel", &Value::Null)
-        .assert_refused(422, "no rendering 7");
+        .assert_refused(422, "no job 7");
     for request in [&b"\x16\x03\x01\x02\x00"[..], b"GET / HTTP/1.1\r\n\r\n"] {
         let mut stream = TcpStream::connect(server.host()).unwrap();
         stream.write_all(request).unwrap();

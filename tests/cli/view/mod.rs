@@ -4,6 +4,8 @@ mod edits;
 mod hostile;
 mod renders;
 mod serving;
+mod start;
+mod uploads;
 
 use crate::{Place, place::PROGRAM};
 use serde_json::Value;
@@ -30,13 +32,20 @@ struct Answer {
 }
 
 impl Server {
+    /// About what is in `scene`.
     fn start(place: &Place, arguments: &str) -> Self {
+        let arguments = ["view", "scene", "--port", "0"]
+            .into_iter()
+            .chain(arguments.split_whitespace());
+        Self::start_with(place, &arguments.collect::<Vec<_>>())
+    }
+
+    fn start_with(place: &Place, arguments: &[&str]) -> Self {
         // Programs of the place come before those of the system.
         let system = std::env::var("PATH").unwrap_or_default();
         let programs = format!("{}:{system}", place.path("bin").display());
         let mut process = Command::new(PROGRAM)
-            .args(["view", "scene", "--port", "0"])
-            .args(arguments.split_whitespace())
+            .args(arguments)
             .current_dir(place.folder())
             .env_remove("RUST_LOG")
             .env("PATH", programs)
@@ -57,6 +66,23 @@ impl Server {
 
     fn host(&self) -> String {
         format!("127.0.0.1:{}", self.port)
+    }
+
+    /// Sends a file as the page does.
+    fn upload(&self, name: &str, content: &[u8]) -> Answer {
+        let mut request = self.upload_head(name, content.len());
+        request.extend(content);
+        self.raw(&request)
+    }
+
+    /// What comes before a file of so many bytes; `name` as it stands in addresses.
+    fn upload_head(&self, name: &str, bytes: usize) -> Vec<u8> {
+        let (host, kind) = (self.host(), "application/octet-stream");
+        format!(
+            "POST /api/uploads/{name} HTTP/1.1\r\nConnection: close\r\nHost: {host}\r\nContent-Type: {kind}\r\n\
+             Content-Length: {bytes}\r\n\r\n"
+        )
+        .into()
     }
 
     /// Sends bytes as they are.

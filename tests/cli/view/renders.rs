@@ -40,6 +40,13 @@ fn views_are_rendered_one_job_after_the_other() {
     let estimate = json!({"cameras": {"orbit": {"views": 2}}, "completion": {"see3d": {}}});
     let words = server.send("/api/estimate", &estimate).json()["estimate"].to_string();
     assert!(words.contains("views"), "{words}");
+    // Before anything was rendered in that way, too.
+    let estimate = json!({"cameras": {"orbit": {"views": 2}}, "completion": "fill"});
+    let words = server.send("/api/estimate", &estimate).json()["estimate"].to_string();
+    assert!(
+        words.contains("2 views at ") && words.contains(": about "),
+        "{words}"
+    );
     let long = json!({"see3d": {"quality": "exact", "steps": 500}});
     let long = id(render(json!({"orbit": {"views": 50}}), long));
     let json = "Content-Type: application/json";

@@ -73,9 +73,11 @@ fn ctrl_c_ends_the_server_and_leaves_the_scene_whole() {
 #[test]
 fn what_cannot_be_viewed_is_said_before_anything_is_served() {
     let place = Place::new();
+    std::fs::create_dir(place.path("letters")).unwrap();
+    place.write("letters/one.txt", "Dear");
     assert!(
         place
-            .fail("view nowhere --port 0")
+            .fail("view letters --port 0")
             .contains("is not a scene")
     );
     assert!(
