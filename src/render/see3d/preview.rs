@@ -43,11 +43,17 @@ impl Colours {
         }
     }
 
-    /// Picture number `index` of latents (pictures, height, width, 4), at the size of its pixels.
+    /// Picture number `index` of latents (pictures, height, width, 4), as wide as it is in pixels, in these proportions
+    /// (width, height).
     ///
     /// # Errors
     /// When they have another shape.
-    pub(super) fn picture(&self, latents: &Tensor, index: usize) -> Result<RgbImage> {
+    pub(super) fn picture(
+        &self,
+        latents: &Tensor,
+        index: usize,
+        proportions: [u32; 2],
+    ) -> Result<RgbImage> {
         let ([width, height], rows) = rows(latents, index)?;
         let colours = rows.iter().flat_map(|row| {
             let colour = self.weights.transpose() * row;
@@ -56,7 +62,9 @@ impl Colours {
         let Some(small) = RgbImage::from_raw(width, height, colours.collect()) else {
             bail!("a picture is too large");
         };
-        let [wide, high] = [width, height].map(|side| side * PIXELS_PER_LATENT);
+        let wide = width * PIXELS_PER_LATENT;
+        let high = f64::from(wide) * f64::from(proportions[1]) / f64::from(proportions[0].max(1));
+        let high = (high.round() as u32).clamp(1, 8 * wide);
         Ok(imageops::resize(
             &small,
             wide,
@@ -109,8 +117,10 @@ mod tests {
     fn linear_latents_give_their_colours_back() {
         let (picture, latents) = made_up();
         let colours = Colours::fitted(&latents, std::slice::from_ref(&picture));
-        let seen = colours.picture(&latents, 0).unwrap();
+        let seen = colours.picture(&latents, 0, [6, 4]).unwrap();
         assert_eq!(seen.dimensions(), picture.dimensions());
+        let high = colours.picture(&latents, 0, [60, 80]).unwrap();
+        assert_eq!(high.dimensions(), (48, 64));
         for (x, y) in [(4, 4), (44, 28), (20, 12)] {
             let (seen, wanted) = (seen.get_pixel(x, y).0, picture.get_pixel(x, y).0);
             // Between middles of patches, colours are mixed.
@@ -119,13 +129,15 @@ mod tests {
                 "{seen:?} {wanted:?}"
             );
         }
-        assert!(colours.picture(&latents, 1).is_err());
+        assert!(colours.picture(&latents, 1, [6, 4]).is_err());
     }
 
     #[test]
     fn without_pictures_all_is_grey() {
         let (_, latents) = made_up();
-        let seen = Colours::fitted(&latents, &[]).picture(&latents, 0).unwrap();
+        let seen = Colours::fitted(&latents, &[])
+            .picture(&latents, 0, [1, 1])
+            .unwrap();
         assert!(seen.pixels().all(|pixel| pixel.0 == [128; 3]));
     }
 }

@@ -187,10 +187,14 @@ impl<'a> Run<'a> {
                 "report this as a defect",
             ));
         };
-        let name = |view: usize| self.views.cameras[view].0.clone();
+        let shown = |view: usize| {
+            let (name, camera) = &self.views.cameras[view];
+            let lens = &camera.intrinsics;
+            (name.clone(), [lens.width, lens.height])
+        };
         watch.preview = Some(Targets {
             first: frames.references + part.carried.len(),
-            names: part.targets.clone().map(name).collect(),
+            shown: part.targets.clone().map(shown).collect(),
             colours: Colours::fitted(&latents, &frames.pictures),
         });
         let denoised = || {
@@ -459,7 +463,8 @@ struct Watch<'a> {
 struct Targets {
     /// The first of them.
     first: usize,
-    names: Vec<String>,
+    /// Their names and sizes (width, height).
+    shown: Vec<(String, [u32; 2])>,
     colours: Colours,
 }
 
@@ -473,13 +478,12 @@ impl Observer for Watch<'_> {
             return Err(candle_core::Error::Msg("stopped".into()));
         }
         if let ("predicted", Some(targets)) = (name, &self.preview) {
-            for (k, name) in targets.names.iter().enumerate() {
+            for (k, (name, size)) in targets.shown.iter().enumerate() {
                 // A picture in between that cannot be shown is no reason to end.
                 let draw = || {
-                    targets
-                        .colours
-                        .picture(&tensor().ok()?, targets.first + k)
-                        .ok()
+                    let latents = tensor().ok()?;
+                    let picture = targets.colours.picture(&latents, targets.first + k, *size);
+                    picture.ok()
                 };
                 self.follower.preview(name, &draw);
             }

@@ -2,12 +2,15 @@
 
 pub(super) mod make;
 pub(super) mod render;
+mod reporter;
 mod video;
 
 pub(super) use render::RenderRequest;
 
 use super::session::lock;
 use crate::{Error, Result, progress::Progress};
+use image::RgbImage;
+use reporter::Reporter;
 use serde::Serialize;
 use std::{
     collections::BTreeMap,
@@ -58,6 +61,9 @@ pub(super) struct Job {
     pub(super) task_seconds: f64,
     /// What it had to tell.
     pub(super) notes: Vec<String>,
+    /// The pictures that take shape.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) previews: Vec<Preview>,
     /// Why it failed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) problem: Option<String>,
@@ -68,6 +74,16 @@ pub(super) struct Job {
     /// Of this attempt: it may be started again while an earlier one is still in the queue.
     #[serde(skip)]
     wanted: Arc<AtomicBool>,
+}
+
+/// A picture as it looks by now.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Preview {
+    name: String,
+    /// Another one each time that a picture of the job is drawn.
+    number: u32,
+    #[serde(skip)]
+    picture: Arc<RgbImage>,
 }
 
 /// Jobs that wait, run, or have ended. Dropping it cancels them.
@@ -149,6 +165,7 @@ impl Queue {
             seconds: 0.0,
             task_seconds: 0.0,
             notes: Vec::new(),
+            previews: Vec::new(),
             problem: None,
             started: None,
             task_started: None,
@@ -204,6 +221,12 @@ impl Queue {
         }
     }
 
+    /// A picture of a job that takes shape, by its place among them.
+    pub(super) fn preview(&self, id: u32, place: usize) -> Option<Arc<RgbImage>> {
+        let all = lock(&self.jobs.all);
+        Some(Arc::clone(&all.get(&id)?.previews.get(place)?.picture))
+    }
+
     /// Whether a job waits or runs.
     pub(super) fn is_going_on(&self, id: u32) -> bool {
         let all = lock(&self.jobs.all);
@@ -244,16 +267,12 @@ impl Jobs {
             job.state = State::Running;
             job.started = Some(Instant::now());
         });
-        let reporter = Reporter {
-            jobs: self,
-            id,
-            wanted: &wanted,
-            told: Mutex::new(None),
-        };
+        let reporter = Reporter::new(self, id, &wanted);
         // What a job leaves half done is in files with temporary names only.
         let result = catch_unwind(AssertUnwindSafe(|| work(&reporter)));
         self.with(id, |job| {
             job.seconds = since(job.started);
+            job.previews.clear();
             (job.state, job.problem) = match result {
                 Ok(Ok(())) => (State::Done, None),
                 // Whatever goes wrong then, nobody asked for.
@@ -274,58 +293,6 @@ impl Jobs {
 /// Seconds that have passed.
 fn since(moment: Option<Instant>) -> f64 {
     moment.map_or(0.0, |moment| moment.elapsed().as_secs_f64())
-}
-
-/// Takes a job's progress down.
-struct Reporter<'a> {
-    jobs: &'a Jobs,
-    id: u32,
-    wanted: &'a AtomicBool,
-    /// When it was last said that something has changed.
-    told: Mutex<Option<Instant>>,
-}
-
-/// Progress is told no more often than this.
-const TELL_EVERY: Duration = Duration::from_millis(200);
-
-impl Reporter<'_> {
-    fn note_down(&self, change: impl FnOnce(&mut Job)) {
-        if let Some(job) = lock(&self.jobs.all).get_mut(&self.id) {
-            change(job);
-        }
-    }
-}
-
-impl Progress for Reporter<'_> {
-    fn begin(&self, task: &str, total: usize) {
-        self.jobs.with(self.id, |job| {
-            (job.task, job.done, job.total) = (task.to_string(), 0, total);
-            job.task_started = Some(Instant::now());
-        });
-    }
-
-    fn advance(&self, steps: usize) {
-        self.note_down(|job| job.done += steps);
-        let mut told = lock(&self.told);
-        if told.is_none_or(|at| at.elapsed() >= TELL_EVERY) {
-            *told = Some(Instant::now());
-            drop(told);
-            (self.jobs.changed)();
-        }
-    }
-
-    fn end(&self) {
-        self.jobs.with(self.id, |job| job.done = job.total);
-    }
-
-    fn note(&self, text: &str) {
-        self.jobs
-            .with(self.id, |job| job.notes.push(text.to_string()));
-    }
-
-    fn is_cancelled(&self) -> bool {
-        !self.wanted.load(Ordering::Relaxed)
-    }
 }
 
 #[cfg(test)]

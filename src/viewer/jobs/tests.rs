@@ -95,6 +95,40 @@ fn jobs_can_be_cancelled_before_and_while_they_run() {
 }
 
 #[test]
+fn pictures_that_take_shape_are_shown_while_a_job_runs() {
+    let (queue, ended) = queue();
+    let (sender, receiver) = mpsc::channel();
+    let (go_on, wait) = mpsc::channel();
+    let work: Work = Box::new(move |progress| {
+        for shade in [10, 20, 30] {
+            for name in ["a", "b"] {
+                let picture = RgbImage::from_pixel(1, 1, image::Rgb([shade; 3]));
+                progress.preview(name, &|| Some(picture.clone()));
+            }
+            progress.preview("none", &|| None);
+        }
+        for name in ["c", "d", "e"] {
+            progress.preview(name, &|| Some(RgbImage::new(1, 1)));
+        }
+        sender.send(()).unwrap();
+        wait.recv().unwrap();
+        Ok(())
+    });
+    queue.push(1, "draws".into(), work).unwrap();
+    receiver.recv().unwrap();
+    let previews = queue.all().remove(0).previews;
+    let names: Vec<&str> = previews.iter().map(|preview| &*preview.name).collect();
+    assert_eq!(names, ["b", "c", "d", "e"], "the latest four");
+    assert_eq!(queue.preview(1, 0).unwrap().get_pixel(0, 0).0, [30; 3]);
+    assert!(queue.preview(1, 4).is_none() && queue.preview(2, 0).is_none());
+    go_on.send(()).unwrap();
+    assert!(
+        ended(&queue, 1).previews.is_empty(),
+        "there are pictures now"
+    );
+}
+
+#[test]
 fn dropping_the_queue_ends_what_runs() {
     let (queue, _) = queue();
     let (sender, receiver) = mpsc::channel();

@@ -4,7 +4,7 @@ import { send } from "./api.js";
 import { complain, duration, el } from "./dom.js";
 
 /** @typedef {{id: number, title: string, state: string, task: string, done: number, total: number, seconds: number,
- *   task_seconds: number, notes: string[], problem?: string}} Job */
+ *   task_seconds: number, notes: string[], previews?: {name: string, number: number}[], problem?: string}} Job */
 
 /** The job that makes a scene of photos; all others are renderings. */
 export const MAKING = 0;
@@ -28,8 +28,9 @@ export class JobCard {
     this.bar = el("i");
     this.progress = el("div", { class: "progress", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100 }, this.bar);
     this.notes = el("div", { class: "notes" });
+    this.previews = el("div", { class: "previews" });
     this.told = "";
-    this.element = el("article", {}, el("header", {}, this.title, this.cancel), this.words, this.progress, this.notes);
+    this.element = el("article", {}, el("header", {}, this.title, this.cancel), this.words, this.progress, this.previews, this.notes);
   }
 
   /** @param {Job} job */
@@ -46,12 +47,31 @@ export class JobCard {
     this.progress.setAttribute("aria-valuenow", String(share));
     this.progress.setAttribute("aria-label", job.title);
     this.progress.hidden = this.cancel.hidden = !going;
+    this.showPreviews(job.previews ?? []);
     const told = job.notes.join("\n");
     if (this.told !== told) {
       this.told = told;
       this.notes.replaceChildren(...job.notes.map((note) => el("p", { class: "quiet-note" }, note)));
     }
     return this.element;
+  }
+
+  /** Pictures that take shape. Each is put in the place of the one before once it is there.
+   * @param {{name: string, number: number}[]} previews */
+  showPreviews(previews) {
+    const images = /** @type {HTMLImageElement[]} */ ([...this.previews.children]);
+    images.slice(previews.length).forEach((image) => image.remove());
+    previews.forEach(({ name, number }, place) => {
+      const image = images[place] ?? this.previews.appendChild(el("img"));
+      const address = `/api/jobs/${this.job?.id}/preview/${place}/${number}`;
+      if (image.dataset.address === address) return;
+      image.dataset.address = address;
+      const next = new Image();
+      next.src = address;
+      next.decode().then(() => {
+        if (image.dataset.address === address) [image.src, image.alt, image.title] = [next.src, `${name}, as it takes shape`, name];
+      }, () => {});
+    });
   }
 
   end() {

@@ -53,6 +53,7 @@ pub(super) fn routes(shared: Arc<Shared>) -> Router {
         .route("/api/estimate", post(estimate))
         .route("/api/jobs", post(render))
         .route("/api/jobs/{job}/cancel", post(cancel))
+        .route("/api/jobs/{job}/preview/{place}/{number}", get(preview))
         .route(
             "/api/events",
             get(async |State(shared): Common| events::listen(shared)),
@@ -193,9 +194,25 @@ fn begin(shared: &Shared, id: u32) -> Answer {
 }
 
 async fn cancel(State(shared): Common, Path(job): Path<String>, _: Sent<()>) -> Answer {
-    let id = u32::try_from(number(&job)?).map_err(|_| Failure::missing("such job"))?;
-    shared.queue.cancel(id)?;
+    shared.queue.cancel(job_number(&job)?)?;
     Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// A picture that takes shape; the number in the address is another one each time that it was drawn.
+async fn preview(
+    State(shared): Common,
+    Path((job, place, _)): Path<(String, String, String)>,
+) -> Answer {
+    blocking(move || {
+        let picture = shared.queue.preview(job_number(&job)?, number(&place)?);
+        let picture = picture.ok_or_else(|| Failure::missing("such picture"))?;
+        Ok(lasting("image/jpeg", jpeg(&picture)?))
+    })
+    .await
+}
+
+fn job_number(text: &str) -> Result<u32, Failure> {
+    u32::try_from(number(text)?).map_err(|_| Failure::missing("such job"))
 }
 
 /// The scene as a file for other programs, as `tid3r export` writes it.
