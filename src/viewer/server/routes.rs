@@ -198,15 +198,18 @@ async fn cancel(State(shared): Common, Path(job): Path<String>, _: Sent<()>) -> 
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-/// A picture that takes shape; the number in the address is another one each time that it was drawn.
+/// A picture that takes shape; the number in the address is another one each time that it was drawn. No content once the job
+/// has ended: it may have, since the page was told of the picture.
 async fn preview(
     State(shared): Common,
     Path((job, place, _)): Path<(String, String, String)>,
 ) -> Answer {
     blocking(move || {
         let picture = shared.queue.preview(job_number(&job)?, number(&place)?);
-        let picture = picture.ok_or_else(|| Failure::missing("such picture"))?;
-        Ok(lasting("image/jpeg", jpeg(&picture)?))
+        match picture {
+            Some(picture) => Ok(lasting("image/jpeg", jpeg(&picture)?)),
+            None => Ok(StatusCode::NO_CONTENT.into_response()),
+        }
     })
     .await
 }
