@@ -346,7 +346,7 @@ def main():
         if recording:
             listed = subprocess.run([program, "instances", "list", arguments.scene, "--json"],
                                     capture_output=True, text=True)
-            instances = json.loads(listed.stdout) if listed.returncode == 0 else []
+            instances = json.loads(listed.stdout)["instances"] if listed.returncode == 0 else []
             names = {instance["id"]: instance["name"] for instance in instances}
             applied = json.loads(transforms.read_text())["applied_transform"]
             check_rrd(recording, cloud, cameras, names, applied, maps)

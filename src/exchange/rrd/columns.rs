@@ -7,7 +7,7 @@ use crate::{
     geometry::{Intrinsics, Pose},
 };
 use arrow_array::{
-    Array, ArrayRef, ArrowPrimitiveType, FixedSizeListArray, Float32Array, ListArray,
+    Array, ArrayRef, ArrowPrimitiveType, BooleanArray, FixedSizeListArray, Float32Array, ListArray,
     PrimitiveArray, StringArray, StructArray, UInt8Array, UInt16Array, UInt32Array,
     types::{Float32Type, UInt8Type},
 };
@@ -112,6 +112,13 @@ pub(super) fn columns(archetype: &Archetype) -> Result<Vec<Column>, ArrowError> 
                     "radii",
                     "Radius",
                     Float32Array::from(radii.clone()),
+                ),
+                // Few points would have their class's label hang over them, many would not.
+                column(
+                    "Points3D",
+                    "show_labels",
+                    "ShowLabels",
+                    BooleanArray::from(vec![false]),
                 ),
                 column(
                     "Points3D",

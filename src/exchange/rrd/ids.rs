@@ -3,43 +3,37 @@
 use super::protobuf::Message;
 use sha2::{Digest, Sha256};
 
-/// A number of 128 bits that no other row or chunk has, in any recording: viewers keep decoded pictures by it.
-/// Rerun's are of the time and of chance; these are of the recording's id and a count, so that the same
+/// A number that no other row or chunk has, in any recording: viewers keep decoded pictures by it. Rerun's are of
+/// the time and of chance. These are of the recording's id and a count, and of no time, so that the same
 /// contents give the same file. Of rows for one component of one entity, the highest counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Tuid {
-    high: u64,
-    low: u64,
-}
+pub(super) struct Tuid(u64);
+
+/// What viewers show as the time of a recording, in nanoseconds since 1970.
+const TIME: u64 = 0;
 
 impl Tuid {
     /// All ids of a recording, in order.
     pub(super) fn all(recording: &str) -> impl Iterator<Item = Self> {
         let digest: [u8; 32] = Sha256::digest(recording).into();
-        // One bit less: the first is a time to Rerun, the second counts up.
-        let number = |k: usize| {
-            let bytes = std::array::from_fn(|byte| digest[8 * k + byte]);
-            u64::from_be_bytes(bytes) >> 1
-        };
-        let (high, low) = (number(0), number(1));
-        (low..).map(move |low| Self { high, low })
+        let first = u64::from_be_bytes(std::array::from_fn(|byte| digest[byte]));
+        // One bit less leaves room to count.
+        (first >> 1..).map(Self)
     }
 
     /// As tables have it.
     pub(super) fn bytes(self) -> [u8; 16] {
-        (u128::from(self.high) << 64 | u128::from(self.low)).to_be_bytes()
+        (u128::from(TIME) << 64 | u128::from(self.0)).to_be_bytes()
     }
 
     /// As metadata have it.
     pub(super) fn of_chunk(self) -> String {
-        format!("chunk_{:016X}{:016x}", self.high, self.low)
+        format!("chunk_{TIME:016X}{:016x}", self.0)
     }
 
     /// As messages have it.
     pub(super) fn message(self) -> Message {
-        Message::default()
-            .fixed64(1, self.high)
-            .fixed64(2, self.low)
+        Message::default().fixed64(1, TIME).fixed64(2, self.0)
     }
 }
 
@@ -80,12 +74,9 @@ mod tests {
         assert!(ids.is_sorted_by(|a, b| a.bytes() < b.bytes()));
         assert_eq!(Tuid::all("a").next(), Some(ids[0]));
         assert_ne!(Tuid::all("b").next(), Some(ids[0]));
-        let id = Tuid {
-            high: 0xab,
-            low: 0xcd,
-        };
-        assert_eq!(id.of_chunk(), "chunk_00000000000000AB00000000000000cd");
-        assert_eq!((id.bytes()[7], id.bytes()[15]), (0xab, 0xcd));
+        let id = Tuid(0xabcd);
+        assert_eq!(id.of_chunk(), "chunk_0000000000000000000000000000abcd");
+        assert_eq!(id.bytes()[14..], [0xab, 0xcd]);
     }
 
     #[test]

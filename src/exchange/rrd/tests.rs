@@ -227,6 +227,8 @@ fn components_are_what_was_given() {
         radii.as_primitive::<Float32Type>().values()[..],
         [0.01, 0.02]
     );
+    let labels = values(points, "Points3D:show_labels", "ShowLabels");
+    assert!(!labels.as_boolean().value(0));
     let class = values(points, "Points3D:class_ids", "ClassId");
     assert_eq!(class.as_primitive::<UInt16Type>().values()[..], [7]);
 
