@@ -1,17 +1,19 @@
 //! Archetypes as columns of Arrow tables: which components each consists of, and what they are made of.
 
-use super::{Archetype, Class};
+use super::{
+    Archetype, Class,
+    arrays::{bytes, item, no_lists, one_list, rows, structs, text},
+};
 use crate::{
     Map,
     exchange::half_pixels,
     geometry::{Intrinsics, Pose},
 };
 use arrow_array::{
-    Array, ArrayRef, ArrowPrimitiveType, BooleanArray, FixedSizeListArray, Float32Array, ListArray,
-    PrimitiveArray, StringArray, StructArray, UInt8Array, UInt16Array, UInt32Array,
+    Array, ArrayRef, BooleanArray, FixedSizeListArray, Float32Array, StringArray, StructArray,
+    UInt8Array, UInt16Array, UInt32Array,
     types::{Float32Type, UInt8Type},
 };
-use arrow_buffer::{OffsetBuffer, ScalarBuffer};
 use arrow_schema::{ArrowError, DataType, Field, Fields};
 use std::{collections::HashMap, sync::Arc};
 
@@ -274,62 +276,6 @@ fn annotations(classes: &[Class]) -> Result<StructArray, ArrowError> {
             Arc::new(description),
         ),
     ])
-}
-
-/// A field with an empty list for each of `count`.
-fn no_lists(name: &str, of: &DataType, count: usize) -> Result<(Field, ArrayRef), ArrowError> {
-    let offsets = OffsetBuffer::from_lengths(std::iter::repeat_n(0, count));
-    let lists = ListArray::try_new(
-        item(of, false),
-        offsets,
-        arrow_array::new_empty_array(of),
-        None,
-    )?;
-    Ok((
-        Field::new(name, lists.data_type().clone(), false),
-        Arc::new(lists),
-    ))
-}
-
-fn structs(fields: Vec<(Field, ArrayRef)>) -> Result<StructArray, ArrowError> {
-    let (fields, arrays): (Vec<Field>, Vec<ArrayRef>) = fields.into_iter().unzip();
-    StructArray::try_new(fields.into(), arrays, None)
-}
-
-fn text(text: &str) -> StringArray {
-    StringArray::from(vec![text])
-}
-
-fn bytes(bytes: Vec<u8>) -> UInt8Array {
-    UInt8Array::new(ScalarBuffer::from(bytes), None)
-}
-
-/// Lists of N numbers.
-fn rows<T: ArrowPrimitiveType, const N: usize>(
-    rows: &[[T::Native; N]],
-) -> Result<FixedSizeListArray, ArrowError> {
-    let numbers = PrimitiveArray::<T>::from_iter_values(rows.iter().flatten().copied());
-    FixedSizeListArray::try_new(
-        item(&T::DATA_TYPE, false),
-        N as i32,
-        Arc::new(numbers),
-        None,
-    )
-}
-
-/// A list of all that there is.
-fn one_list(values: impl Array + 'static) -> Result<ListArray, ArrowError> {
-    list(Arc::new(values), false)
-}
-
-/// One list of `values`.
-pub(super) fn list(values: ArrayRef, nullable: bool) -> Result<ListArray, ArrowError> {
-    let offsets = OffsetBuffer::from_lengths([values.len()]);
-    ListArray::try_new(item(values.data_type(), nullable), offsets, values, None)
-}
-
-fn item(data_type: &DataType, nullable: bool) -> Arc<Field> {
-    Arc::new(Field::new("item", data_type.clone(), nullable))
 }
 
 /// A colour without transparency.

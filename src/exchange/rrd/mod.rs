@@ -5,6 +5,7 @@
 //! means of no time. Rerun's own crates, which bring hundreds more, have no part in this; the layout is that
 //! of version 0.28, which later versions read.
 
+mod arrays;
 mod columns;
 mod ids;
 mod manifest;

@@ -2,6 +2,7 @@
 
 use super::{
     APPLICATION, Entity, Rrd,
+    arrays::list,
     columns::{self, Column},
     ids::{Tuid, entity_path},
     manifest::{Manifest, Place},
@@ -154,7 +155,7 @@ fn table(path: &str, chunk: Tuid, row: Tuid, columns: &[Column]) -> Result<Vec<u
         metadata.insert("rerun:kind".into(), "data".into());
         let field = Field::new(column.name(), column.row_type(), true);
         fields.push(field.with_metadata(metadata));
-        arrays.push(Arc::new(columns::list(Arc::clone(&column.values), true)?));
+        arrays.push(Arc::new(list(Arc::clone(&column.values), true)?));
     }
     let metadata = owned(&[
         ("rerun:entity_path", path),
