@@ -13,6 +13,7 @@ const EXAMPLES: &str = "Examples:
   tid3r export room -o chair.ply --only armchair,7       some of its instances
   tid3r export room -o parts --format instances          a file for each
   tid3r export room -o room.glb                          for Blender, three.js
+  tid3r export room -o room.rrd                          for Rerun
   tid3r export room -o room.html                         to look at, in any browser
   tid3r export room -o room.splats.ply                   for a splat viewer
   tid3r export room -o colmap --format colmap            for COLMAP, gsplat and all that read it
@@ -41,10 +42,10 @@ pub(super) struct Export {
     /// Only the points of these instances, by id or name
     #[arg(long, value_name = "INSTANCE", num_args = 1.., value_delimiter = ',')]
     only: Vec<String>,
-    /// With depth maps (transforms)
+    /// With depth maps (transforms, rrd)
     #[arg(long)]
     depth: bool,
-    /// Without copies of the photos (colmap, colmap-text, transforms)
+    /// Without the photos (colmap, colmap-text, transforms, rrd)
     #[arg(long)]
     no_photos: bool,
     /// At most so many points, spread evenly (colmap, colmap-text)
@@ -58,7 +59,7 @@ impl Export {
             return Err(Error::file(
                 &self.output,
                 "does not say what is to be written",
-                "give a name that ends in .ply, .splats.ply, .glb, .html, transforms.json or cameras.json, or --format",
+                "give a name that ends in .ply, .splats.ply, .glb, .rrd, .html, transforms.json or cameras.json, or --format",
             )
             .into());
         };

@@ -9,4 +9,6 @@ pub mod glb;
 mod half_pixels;
 pub mod ply;
 pub mod recording;
+#[cfg(feature = "rerun")]
+pub mod rrd;
 pub mod transforms;

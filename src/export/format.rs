@@ -12,6 +12,9 @@ pub enum Format {
     Splats,
     /// Points, a node for each instance, and cameras (any .glb); y is up
     Glb,
+    /// A recording of Rerun with an entity for each instance and each camera, and photos (any .rrd); z is up.
+    /// Needs a tid3r built with `--features rerun`
+    Rrd,
     /// One page to look at the scene with any browser, without tid3r and offline (any .html)
     Html,
     /// A folder with images/ and a binary COLMAP model in sparse/0/
@@ -34,6 +37,7 @@ impl Format {
             (".splats.ply", Self::Splats),
             (".ply", Self::Ply),
             (".glb", Self::Glb),
+            (".rrd", Self::Rrd),
             (".html", Self::Html),
             ("transforms.json", Self::Transforms),
             ("cameras.json", Self::Cameras),
@@ -50,9 +54,17 @@ impl Format {
         )
     }
 
-    /// Whether photos lie beside it.
+    /// Whether photos come with it.
     pub(super) fn comes_with_photos(self) -> bool {
-        matches!(self, Self::Colmap | Self::ColmapText | Self::Transforms)
+        matches!(
+            self,
+            Self::Rrd | Self::Colmap | Self::ColmapText | Self::Transforms
+        )
+    }
+
+    /// Whether it can have depth maps beside other things.
+    pub(super) fn can_have_depth(self) -> bool {
+        matches!(self, Self::Transforms | Self::Rrd)
     }
 
     /// Whether it can be of some instances only.
@@ -79,6 +91,7 @@ mod tests {
             ("a/room.PLY", Some(Format::Ply)),
             ("room.splats.ply", Some(Format::Splats)),
             ("room.glb", Some(Format::Glb)),
+            ("room.rrd", Some(Format::Rrd)),
             ("room.html", Some(Format::Html)),
             ("data/transforms.json", Some(Format::Transforms)),
             ("room_cameras.json", Some(Format::Cameras)),

@@ -1,8 +1,8 @@
 //! From a scene to files for other programs: what goes into each format of [`crate::exchange`].
 //!
 //! Clouds are edited ones; photos and their cameras are as they were photographed, lenses those of the
-//! photos in their original size. PLY, splats, COLMAP and `cameras.json` are in the scene's frame, GLB and
-//! `transforms.json` upright in the floor's.
+//! photos in their original size. PLY, splats, COLMAP and `cameras.json` are in the scene's frame, GLB,
+//! recordings of Rerun and `transforms.json` upright in the floor's.
 
 mod cameras;
 mod clouds;
@@ -11,6 +11,7 @@ mod contents;
 mod depth;
 mod format;
 mod photos;
+mod rrd;
 mod splats;
 mod transforms;
 
@@ -25,9 +26,9 @@ use std::{fs, path::Path};
 pub struct ExportParams {
     /// Only the points of these instances, by id or name; all points if empty.
     pub only: Vec<String>,
-    /// Without copies of the photos.
+    /// Without the photos.
     pub no_photos: bool,
-    /// With depth maps, in `transforms.json`.
+    /// With depth maps, in `transforms.json` and recordings of Rerun.
     pub depth: bool,
     /// How many points a COLMAP model gets at most.
     pub max_points: usize,
@@ -46,7 +47,7 @@ pub fn export(
 ) -> Result<String> {
     let without_use = [
         ("--only", !params.only.is_empty() && !format.is_of_points()),
-        ("--depth", params.depth && format != Format::Transforms),
+        ("--depth", params.depth && !format.can_have_depth()),
         (
             "--no-photos",
             params.no_photos && !format.comes_with_photos(),
@@ -64,6 +65,7 @@ pub fn export(
         Format::Ply => clouds::write_ply(scene, &contents()?, output),
         Format::Instances => clouds::write_instances(scene, &contents()?, output),
         Format::Glb => clouds::write_glb(scene, &contents()?, output),
+        Format::Rrd => rrd::write(scene, output, params),
         Format::Html => crate::viewer::offline::write(scene, output),
         Format::Splats => splats::write(scene, &contents()?, output),
         Format::Colmap | Format::ColmapText => {

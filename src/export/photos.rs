@@ -45,7 +45,8 @@ pub(super) fn file_name(photo: &Photo) -> String {
     }
 }
 
-fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
+/// Whether the photo of a frame is still there, and still of the size that it had.
+pub(super) fn check(record: &FrameRecord) -> Result<()> {
     let photo = &record.photo;
     let missing = |error| match error {
         Error::Io { path, .. } if !path.exists() => Error::file(
@@ -56,14 +57,19 @@ fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
         ),
         other => other,
     };
-    let size = photo.size().map_err(missing)?;
-    if size != record.transform.photo_size {
-        return Err(Error::file(
+    match photo.size().map_err(missing)? == record.transform.photo_size {
+        true => Ok(()),
+        false => Err(Error::file(
             &photo.path,
             "has changed since the scene was made from it",
             "put the photo back, or export without photos (--no-photos)",
-        ));
+        )),
     }
+}
+
+fn copy(record: &FrameRecord, folder: &Path) -> Result<PathBuf> {
+    check(record)?;
+    let photo = &record.photo;
     if !photo.is_stored_upright()? {
         let path = folder.join(format!("{}.png", photo.name));
         files::write_png(&path, &photo.load()?)?;

@@ -301,6 +301,7 @@ fn what_means_nothing_is_refused() {
         ("-o room.json", "--format"),
         ("-o room.glb --depth", "--depth means nothing"),
         ("-o room.glb --no-photos", "--no-photos means nothing"),
+        ("-o cameras.json --depth", "--depth means nothing"),
         ("-o cameras.json --only 1", "--only means nothing"),
         ("-o parts --format instances", "tid3r segment"),
     ] {
@@ -331,4 +332,68 @@ fn a_page_to_look_at_has_everything_in_it() {
             .fail("export scene -o room.html --only 1")
             .contains("--only means nothing")
     );
+}
+
+#[test]
+#[cfg(not(feature = "rerun"))]
+fn recordings_of_rerun_are_another_build() {
+    let place = Place::with_recording();
+    place.run("import recording -o scene");
+    let message = place.fail("export scene -o room.rrd");
+    assert!(
+        message.contains("room.rrd") && message.contains("--features rerun"),
+        "{message}"
+    );
+    assert!(!place.path("room.rrd").exists());
+}
+
+#[test]
+#[cfg(feature = "rerun")]
+fn a_recording_of_rerun_has_instances_cameras_and_photos() {
+    let place = Place::with_scene();
+    let [red, blue] = place.boxes();
+    place.run(&format!("instances rename scene {red} shelf"));
+    let said = place.run("export scene -o room.rrd");
+    place.run("export scene -o room.ply");
+    let points = export::read(&place.path("room.ply")).len();
+    assert!(
+        said.contains(&format!("{points} points, ")) && said.contains("5 cameras"),
+        "{said}"
+    );
+    let write = |arguments: &str| {
+        place.run(&format!("export scene -o other.rrd {arguments}"));
+        fs::read(place.path("other.rrd")).unwrap()
+    };
+    let whole = fs::read(place.path("room.rrd")).unwrap();
+    assert_eq!(write(""), whole, "the same scene gives the same bytes");
+    assert!(whole.starts_with(b"RRF2") && whole.ends_with(b"RRF2FOOT\x01\0\0\0"));
+    // The footer is not compressed.
+    let count = |file: &[u8], text: &str| {
+        let windows = file.windows(text.len());
+        windows.filter(|bytes| *bytes == text.as_bytes()).count()
+    };
+    let has = |file: &[u8], text: &str| count(file, text) > 0;
+    let (shelf, other) = (
+        "/scene/instances/shelf:",
+        format!("/scene/instances/instance\\ {blue}:"),
+    );
+    assert!(has(&whole, shelf) && has(&whole, &other));
+    assert_eq!(count(&whole, "/photo:EncodedImage:blob"), 5);
+    assert!(!has(&whole, "DepthImage"));
+    let file = write("--depth --no-photos");
+    assert_eq!(count(&file, "/depth:DepthImage:buffer"), 5);
+    assert!(!has(&file, "EncodedImage"));
+    let file = write("--only shelf");
+    assert!(has(&file, shelf) && !has(&file, &other));
+    // Rerun would show two recordings of one id as one.
+    let id = |file: &[u8]| file[12..120].to_vec();
+    assert_ne!(id(&file), id(&whole));
+
+    place.run("import recording -o plain");
+    place.run("clean plain");
+    let said = place.run("export plain -o plain.rrd");
+    assert!(said.contains("0 instances"), "{said}");
+    fs::remove_file(place.path("recording/frame-000000.color.png")).unwrap();
+    let message = place.fail("export scene -o room.rrd");
+    assert!(message.contains("--no-photos"), "{message}");
 }

@@ -2,6 +2,7 @@
 """Exports a scene in all formats and opens the files with other people's readers; see README.md."""
 
 import argparse
+import io
 import json
 import subprocess
 import sys
@@ -15,7 +16,9 @@ import pygltflib
 import trimesh
 from PIL import Image
 from plyfile import PlyData
+from rerun.chunk import RrdReader
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 failures = 0
@@ -242,6 +245,71 @@ def check_splats(path, cloud):
           f"({extent.min():.3g} to {extent.max():.3g})")
 
 
+class Entities:
+    """The entities of a recording, loaded by what its footer says; components are NumPy arrays or lists."""
+
+    def __init__(self, path):
+        self.tables = {str(chunk.entity_path): chunk.to_record_batch()
+                       for chunk in RrdReader(path).store().stream()}
+
+    def __call__(self, path, component):
+        values = self.tables[path][component][0].values
+        return values.to_pylist()
+
+    def numbers(self, path, component):
+        return np.array(self(path, component))
+
+    def pose(self, path):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat(self.numbers(path, "Transform3D:quaternion")[0]).as_matrix()
+        pose[:3, 3] = self.numbers(path, "Transform3D:translation")[0]
+        return pose
+
+
+def check_lens(what, entities, path, lens):
+    near(f"lens of {what}", entities.numbers(path, "Pinhole:image_from_camera").reshape(3, 3).T,
+         [[lens["fx"], 0, lens["cx"] + 0.5], [0, lens["fy"], lens["cy"] + 0.5], [0, 0, 1]],
+         1e-6 * lens["width"])
+    near(f"size of {what}", entities.numbers(path, "Pinhole:resolution")[0], [lens["width"], lens["height"]], 0)
+
+
+def check_rrd(path, cloud, cameras, names, applied, maps):
+    verified = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", path], capture_output=True, text=True)
+    entities = Entities(path)
+    points = {path: table for path, table in entities.tables.items() if path.startswith("/scene/instances/")}
+    print(f"Rerun: {len(entities.tables)} entities, {len(points)} of them points")
+    check("rerun rrd verify", verified.returncode == 0, verified.stderr.strip())
+    check("z is up", entities("/", "ViewCoordinates:xyz") == [[3, 5, 1]])
+    near("the scene stands upright", entities.pose("/scene"), np.vstack([applied, [0, 0, 0, 1]]), 1e-6)
+    classes = [pair["class_description"]["info"] for pair in entities("/scene", "AnnotationContext:context")[0]]
+    check("names of classes", {info["id"]: info["label"] for info in classes if info["id"]} == names)
+    check("each has an entity", sorted(entities(path, "Points3D:class_ids")[0] for path in points)
+          == sorted(info["id"] for info in classes))
+    by_class = sorted(points, key=lambda path: entities(path, "Points3D:class_ids"))
+    order = np.argsort(cloud.ids, kind="stable")
+    xyz, rgba = (np.concatenate([entities.numbers(path, f"Points3D:{field}") for path in by_class])
+                 for field in ["positions", "colors"])
+    near("positions", xyz, cloud.xyz[order], 0)
+    rgb = np.stack([rgba >> 24, rgba >> 16 & 255, rgba >> 8 & 255], axis=1)
+    near("colours", rgb, cloud.rgb[order], 0)
+    for view in cameras["views"]:
+        at = f"/scene/cameras/{view['name']}"
+        near(f"pose of {view['name']}", entities.pose(at), view["cam_to_world"], 1e-5)
+        check_lens(view["name"], entities, f"{at}/photo", view["intrinsics"])
+        check("axes", entities(f"{at}/photo", "Pinhole:camera_xyz") == [[3, 2, 5]])
+        file = bytes(entities(f"{at}/photo", "EncodedImage:blob")[0])
+        with Image.open(io.BytesIO(file)) as photo:
+            size = (view["intrinsics"]["width"], view["intrinsics"]["height"])
+            kind = entities(f"{at}/photo", "EncodedImage:media_type")
+            check("the photo", photo.size == size and [photo.get_format_mimetype()] == kind)
+    for view in json.loads((maps / "depth.json").read_text())["frames"]:
+        at = f"/scene/cameras/{view['name']}/depth"
+        check_lens(f"depth of {view['name']}", entities, at, view["intrinsics"])
+        depth = np.array(entities(at, "DepthImage:buffer")[0], np.uint8).view("<f4")
+        near("depth", depth, np.load(maps / f"{view['name']}.npz")["depth"].ravel(), 0)
+        check("in the scene's units", entities(at, "DepthImage:meter") == [1])
+
+
 def main():
     global edited
     parser = argparse.ArgumentParser(description=__doc__)
@@ -271,8 +339,19 @@ def main():
         few = ["--max-points", "20000"]
         check_colmap(export("colmap", "--format", "colmap", *few), cloud, cameras, True)
         check_colmap(export("text", "--format", "colmap-text", "--no-photos", *few), cloud, cameras, False)
-        check_transforms(export("data/transforms.json", "--depth"), cloud, cameras)
-        check_maps(export("maps", "--format", "depth"), cloud)
+        transforms, maps = export("data/transforms.json", "--depth"), export("maps", "--format", "depth")
+        check_transforms(transforms, cloud, cameras)
+        check_maps(maps, cloud)
+        recording = export("room.rrd", "--depth", must=False)
+        if recording:
+            listed = subprocess.run([program, "instances", "list", arguments.scene, "--json"],
+                                    capture_output=True, text=True)
+            instances = json.loads(listed.stdout)["instances"] if listed.returncode == 0 else []
+            names = {instance["id"]: instance["name"] for instance in instances}
+            applied = json.loads(transforms.read_text())["applied_transform"]
+            check_rrd(recording, cloud, cameras, names, applied, maps)
+        else:
+            print("Rerun: not with this build of tid3r (--features rerun)")
         splats = export("room.splats.ply", must=False)
         if splats:
             check_splats(splats, cloud)
