@@ -4,11 +4,13 @@ mod bench;
 mod clean;
 mod completions;
 mod demo;
+mod doctor;
 mod edit;
 mod evaluate;
 mod export;
 mod import;
 mod instances;
+mod man;
 mod output;
 mod reconstruct;
 mod refine;
@@ -35,7 +37,7 @@ use tid3r_models::ComputeType;
     propagate_version = true,
     subcommand_required = true
 )]
-#[command(after_help = "Start with `tid3r demo`, or `tid3r run PHOTOS -o SCENE`.")]
+#[command(after_help = "Start with `tid3r demo`, `tid3r run PHOTOS -o SCENE`, or `tid3r doctor`.")]
 pub(crate) struct Cli {
     #[command(flatten)]
     global: Global,
@@ -80,8 +82,10 @@ enum Verb {
     Evaluate(evaluate::Evaluate),
     Weights(weights::Weights),
     Demo(demo::Demo),
+    Doctor(doctor::Doctor),
     Bench(bench::Bench),
     Completions(completions::Completions),
+    Man(man::ManPages),
 }
 
 impl Cli {
@@ -109,8 +113,10 @@ impl Cli {
             Verb::Evaluate(verb) => verb.run(&terminal),
             Verb::Weights(verb) => verb.run(&terminal),
             Verb::Demo(verb) => verb.run(&terminal),
+            Verb::Doctor(verb) => verb.run(&terminal),
             Verb::Bench(verb) => verb.run(&terminal),
             Verb::Completions(verb) => verb.run(),
+            Verb::Man(verb) => verb.run(),
         }
     }
 }

@@ -64,8 +64,7 @@ pub(super) struct Options {
     max_memory: Option<u64>,
 }
 
-/// Those that reconstruct, the better one first.
-const NETWORKS: [&str; 2] = ["mvdust3r-plus", "mvdust3r"];
+const NETWORKS: [&str; 2] = MvDust3rReconstructor::NETWORKS;
 
 impl Reconstruct {
     pub(super) fn run(self, terminal: &Terminal) -> Result<()> {

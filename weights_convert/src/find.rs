@@ -175,6 +175,11 @@ impl Places {
         self.models.as_deref()
     }
 
+    /// The local cache of Hugging Face, if the environment says where one would be.
+    pub fn cache(&self) -> Option<&Path> {
+        self.cache.as_ref().map(|cache| cache.path().as_path())
+    }
+
     /// The folder for converted weights of `network`, if `TID3R_MODELS` names one.
     pub fn folder(&self, network: &Network) -> Option<PathBuf> {
         Some(self.models.as_ref()?.join(network.name))
@@ -250,18 +255,24 @@ impl Places {
             Some(cache) => format!("nothing in {}", cache.path().display()),
             None => "no cache of Hugging Face".to_owned(),
         };
-        let remedy = match network.folder {
-            Some(folder) => self.how_to_get_all(network, folder),
-            None => self.how_to_get(network),
-        };
         Error::request(
             format!(
                 "no weights of {} are found: {looked}, {cached}",
                 network.title
             ),
-            remedy,
+            self.how_to_have(network),
         )
     }
+
+    /// What to do to have the weights of `network`: which file to get from where, under which licence, and how to
+    /// convert it.
+    pub fn how_to_have(&self, network: &Network) -> String {
+        match network.folder {
+            Some(folder) => self.how_to_get_all(network, folder),
+            None => self.how_to_get(network),
+        }
+    }
+
     /// What to do to have a network that is published by itself.
     fn how_to_get(&self, network: &Network) -> String {
         let target = match self.folder(network) {
