@@ -3,9 +3,9 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
-use hf_hub::{Cache, CacheRepo};
 use serde::Serialize;
 
+use crate::hub::HubCache;
 use crate::repository::{Repository, checkpoint_at};
 use crate::{
     Beside, CONFIG_FILE, Checkpoint, ConfigFile, Error, Network, Result, Source, Step,
@@ -138,7 +138,7 @@ fn is_ours(weights: &Path) -> bool {
 #[derive(Clone, Debug)]
 pub struct Places {
     models: Option<PathBuf>,
-    cache: Option<Cache>,
+    cache: Option<HubCache>,
 }
 
 impl Places {
@@ -157,7 +157,7 @@ impl Places {
             .or_else(|| Some(env::home_dir()?.join(".cache/huggingface/hub")));
         Self {
             models: set(MODELS),
-            cache: cache.map(Cache::new),
+            cache: cache.map(HubCache::new),
         }
     }
 
@@ -177,7 +177,7 @@ impl Places {
 
     /// The local cache of Hugging Face, if the environment says where one would be.
     pub fn cache(&self) -> Option<&Path> {
-        self.cache.as_ref().map(|cache| cache.path().as_path())
+        self.cache.as_ref().map(HubCache::path)
     }
 
     /// The folder for converted weights of `network`, if `TID3R_MODELS` names one.
@@ -187,15 +187,13 @@ impl Places {
 
     /// The published checkpoint of `network` in the local cache of Hugging Face, not converted.
     pub fn published(&self, network: &Network) -> Option<PathBuf> {
-        let repository = self.repository(network)?;
-        network.files.iter().find_map(|file| repository.get(file))
+        (network.files.iter()).find_map(|file| self.file_of(network, file))
     }
 
-    fn repository(&self, network: &Network) -> Option<CacheRepo> {
+    /// A file of the network's repository, if the cache has it.
+    fn file_of(&self, network: &Network, path: &str) -> Option<PathBuf> {
         match network.source {
-            Source::HuggingFace(repository) => {
-                Some(self.cache.as_ref()?.model(repository.to_owned()))
-            }
+            Source::HuggingFace(repository) => self.cache.as_ref()?.file(repository, path),
             Source::Page(_) => None,
         }
     }
@@ -203,14 +201,13 @@ impl Places {
     /// Converted weights of `network` in the cache: beside the published files, or in a folder of the
     /// network's name.
     fn cached(&self, network: &Network) -> Option<PathBuf> {
-        let repository = self.repository(network)?;
         let name = network.name;
         [
             format!("{name}/{WEIGHTS_FILE}"),
             format!("checkpoints/{name}/{WEIGHTS_FILE}"),
         ]
         .iter()
-        .find_map(|file| repository.get(file))
+        .find_map(|file| self.file_of(network, file))
     }
 
     /// As [`find()`].

@@ -27,6 +27,7 @@ mod error;
 mod find;
 mod folder;
 mod hash;
+mod hub;
 mod manifest;
 mod networks;
 mod parts;
