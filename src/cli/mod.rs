@@ -37,13 +37,23 @@ use tid3r_models::ComputeType;
     propagate_version = true,
     subcommand_required = true
 )]
-#[command(after_help = "Start with `tid3r demo`, `tid3r run PHOTOS -o SCENE`, or `tid3r doctor`.")]
+#[command(after_help = START, after_long_help = format!("{START}\n\n{ENVIRONMENT}"))]
 pub(crate) struct Cli {
     #[command(flatten)]
     global: Global,
     #[command(subcommand)]
     verb: Verb,
 }
+
+const START: &str = "Start with `tid3r demo`, `tid3r run PHOTOS -o SCENE`, or `tid3r doctor`.";
+
+const ENVIRONMENT: &str = "Environment:\n  \
+    TID3R_MODELS       Folder of all weights, with a folder in it for each network\n  \
+    HF_HUB_CACHE       Hugging Face's cache, where weights are looked for, too\n  \
+    TID3R_CPU          Kernels to use instead of the best: avx512bf16, avx512, avx2 or portable\n  \
+    RAYON_NUM_THREADS  Worker threads, where --threads is not given\n  \
+    RUST_LOG           What is logged, as in tid3r=debug; overrides -q and -v\n\n\
+    Exit codes: 0 done, 1 failed, 2 wrong usage.";
 
 /// What every verb understands.
 #[derive(Debug, Args)]

@@ -36,7 +36,13 @@ fn cpu() -> Finding {
         Ok(current) => {
             let lacking = Isa::features().into_iter().filter(|(_, there)| !there);
             let lacking: Vec<_> = lacking.map(|(feature, _)| feature).collect();
-            kernels(&name, current.name(), available[0].name(), &lacking)
+            let found = kernels(&name, current.name(), available[0].name(), &lacking);
+            if cfg!(debug_assertions) {
+                let text = format!("{}; this tid3r was built without optimisation", found.text);
+                return finding("cpu", State::Slow, text)
+                    .fix("build it with `cargo build --release`");
+            }
+            found
         }
         Err(error) => {
             let problem = error.to_string();
@@ -49,10 +55,6 @@ fn cpu() -> Finding {
 
 fn kernels(name: &str, current: &str, best: &str, lacking: &[&str]) -> Finding {
     let with = format!("{name}, {current} kernels");
-    if cfg!(debug_assertions) {
-        let text = format!("{with}; this tid3r was built without optimisation");
-        return finding("cpu", State::Slow, text).fix("build it with `cargo build --release`");
-    }
     if current != best {
         let text = format!("{with}, by {}; {best} would be faster", Isa::VARIABLE);
         return finding("cpu", State::Slow, text).fix(format!("unset {}", Isa::VARIABLE));
@@ -156,7 +158,6 @@ mod tests {
         assert!(memory(None, None, GB).fix.unwrap().contains("close"));
     }
 
-    #[cfg(not(debug_assertions))]
     #[test]
     fn kernels_that_are_not_the_best_are_slow() {
         assert_eq!(
