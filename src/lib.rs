@@ -6,6 +6,7 @@
 
 pub mod bench;
 pub mod demo;
+pub mod doctor;
 pub mod draw;
 pub mod edit;
 pub mod error;

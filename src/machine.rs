@@ -1,14 +1,68 @@
 //! What this machine has, and what this process has taken of it.
 
-use std::fs;
+mod cgroup;
+
+use serde::Serialize;
+use std::{fmt, fs, path::Path};
 
 /// What the program itself takes while a network runs, about.
 pub(crate) const PROGRAM_BYTES: u64 = 60_000_000;
 
-/// Memory that programs can still take without swapping, in bytes; `None` where the system does not
-/// say.
+/// Memory that this process can still take without swapping, in bytes: what is free on the machine, or what
+/// the limits of its container or batch job leave, if that is less. `None` where the system does not say.
 pub fn available_memory() -> Option<u64> {
-    kilobytes("/proc/meminfo", "MemAvailable:")
+    let free = kilobytes("/proc/meminfo", "MemAvailable:");
+    let left = cgroup::memory().map(|allowance| allowance.left);
+    // `None` is less than any number, and so has to be left out.
+    free.into_iter().chain(left).min()
+}
+
+/// Memory of the machine, in bytes; `None` where the system does not say.
+pub fn total_memory() -> Option<u64> {
+    kilobytes("/proc/meminfo", "MemTotal:")
+}
+
+/// Memory that a container or batch job limits this process to, in bytes; `None` where there is no limit.
+pub fn memory_limit() -> Option<u64> {
+    cgroup::memory().map(|allowance| allowance.limit)
+}
+
+/// Cores of the machine, whatever share of them this process may use; `None` where the system does not say.
+pub fn cores() -> Option<usize> {
+    let text = fs::read_to_string("/proc/cpuinfo").ok()?;
+    let count = lines_of(&text, "processor").count();
+    (count > 0).then_some(count)
+}
+
+/// What the processor calls itself; `None` where the system does not say.
+pub fn processor() -> Option<String> {
+    let text = fs::read_to_string("/proc/cpuinfo").ok()?;
+    let name = lines_of(&text, "model name").next()?;
+    Some(name.to_string()).filter(|name| !name.is_empty())
+}
+
+/// The values of the lines `NAME : VALUE` of `/proc/cpuinfo`.
+fn lines_of<'a>(text: &'a str, name: &'a str) -> impl Iterator<Item = &'a str> {
+    let pairs = text.lines().filter_map(|line| line.split_once(':'));
+    let named = pairs.filter(move |(key, _)| key.trim_end() == name);
+    named.map(|(_, value)| value.trim())
+}
+
+/// Bytes that can still be written to the file system on which `folder` is, or would be if it were made; `None`
+/// where the system does not say.
+pub fn free_space(folder: &Path) -> Option<u64> {
+    #[cfg(unix)]
+    {
+        let folder = std::path::absolute(folder).ok()?;
+        let there = folder.ancestors().find(|folder| folder.exists())?;
+        let system = rustix::fs::statvfs(there).ok()?;
+        system.f_bavail.checked_mul(system.f_frsize)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
+    }
 }
 
 /// The most memory that this process has had at once, in bytes, mapped files included, since it began
@@ -56,6 +110,22 @@ pub(crate) fn counted(count: usize, what: &str) -> String {
     format!("{count} {what}{ending}")
 }
 
+/// What a piece of work takes of a machine, about.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Expense {
+    /// Seconds.
+    pub seconds: f64,
+    /// Bytes at the most at a time.
+    pub bytes: u64,
+}
+
+impl fmt::Display for Expense {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (seconds, bytes) = (readable_seconds(self.seconds), readable_bytes(self.bytes));
+        write!(f, "about {seconds} and {bytes}")
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -75,6 +145,24 @@ mod tests {
         forget_peak_memory();
         let held = vec![1_u8; 64 << 20];
         assert!(peak_memory().unwrap() >= held.len() as u64);
-        assert!(available_memory().unwrap() > 0);
+        let available = available_memory().unwrap();
+        assert!(available > 0 && available <= total_memory().unwrap());
+    }
+
+    #[test]
+    fn lines_of_a_processor_are_told_apart() {
+        let text = "processor\t: 0\nmodel name\t: A: B\nmodel\t\t: 2\n\nprocessor\t: 1\n";
+        assert_eq!(lines_of(text, "processor").count(), 2);
+        assert_eq!(lines_of(text, "model name").next(), Some("A: B"));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn space_is_that_of_the_nearest_folder_that_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let free = free_space(folder.path()).unwrap();
+        assert!(free > 0);
+        assert!(free_space(&folder.path().join("a/b")).is_some());
+        assert!(cores().unwrap() > 0);
     }
 }

@@ -8,8 +8,8 @@ use tid3r_weights_convert::Places;
 /// Build a furnished room, run the whole method on it and compare with the truth.
 ///
 /// No network is needed: the room is ray-cast from a seed, and errors like those of imperfect networks
-/// are put in before the method runs. With --refine see3d, that network completes the views. Writes photos, cloud, instances, views before and after edits,
-/// and index.html, which shows them.
+/// are put in before the method runs. With --refine see3d, that network completes the views. Writes photos, cloud,
+/// instances, views before and after edits, and index.html, which shows them.
 #[derive(Debug, Args)]
 pub(super) struct Demo {
     /// The folder to write to
@@ -18,12 +18,12 @@ pub(super) struct Demo {
     #[command(flatten)]
     params: DemoParams,
     #[command(flatten)]
-    refine: refine::Options,
-    #[command(flatten, next_help_heading = "Rendering")]
     numbers: Dtype,
     /// Print the figures as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    refine: refine::Options,
 }
 
 impl Demo {

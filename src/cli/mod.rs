@@ -4,11 +4,13 @@ mod bench;
 mod clean;
 mod completions;
 mod demo;
+mod doctor;
 mod edit;
 mod evaluate;
 mod export;
 mod import;
 mod instances;
+mod man;
 mod output;
 mod reconstruct;
 mod refine;
@@ -35,13 +37,23 @@ use tid3r_models::ComputeType;
     propagate_version = true,
     subcommand_required = true
 )]
-#[command(after_help = "Start with `tid3r demo`, or `tid3r run PHOTOS -o SCENE`.")]
+#[command(after_help = START, after_long_help = format!("{START}\n\n{ENVIRONMENT}"))]
 pub(crate) struct Cli {
     #[command(flatten)]
     global: Global,
     #[command(subcommand)]
     verb: Verb,
 }
+
+const START: &str = "Start with `tid3r demo`, `tid3r run PHOTOS -o SCENE`, or `tid3r doctor`.";
+
+const ENVIRONMENT: &str = "Environment:\n  \
+    TID3R_MODELS       Folder of all weights, with a folder in it for each network\n  \
+    HF_HUB_CACHE       Hugging Face's cache, where weights are looked for, too\n  \
+    TID3R_CPU          Kernels to use instead of the best: avx512bf16, avx512, avx2 or portable\n  \
+    RAYON_NUM_THREADS  Worker threads, where --threads is not given\n  \
+    RUST_LOG           What is logged, as in tid3r=debug; overrides -q and -v\n\n\
+    Exit codes: 0 done, 1 failed, 2 wrong usage.";
 
 /// What every verb understands.
 #[derive(Debug, Args)]
@@ -80,8 +92,10 @@ enum Verb {
     Evaluate(evaluate::Evaluate),
     Weights(weights::Weights),
     Demo(demo::Demo),
+    Doctor(doctor::Doctor),
     Bench(bench::Bench),
     Completions(completions::Completions),
+    Man(man::ManPages),
 }
 
 impl Cli {
@@ -109,8 +123,10 @@ impl Cli {
             Verb::Evaluate(verb) => verb.run(&terminal),
             Verb::Weights(verb) => verb.run(&terminal),
             Verb::Demo(verb) => verb.run(&terminal),
+            Verb::Doctor(verb) => verb.run(&terminal),
             Verb::Bench(verb) => verb.run(&terminal),
             Verb::Completions(verb) => verb.run(),
+            Verb::Man(verb) => verb.run(),
         }
     }
 }

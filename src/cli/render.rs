@@ -44,8 +44,6 @@ pub(super) struct Render {
     #[command(flatten)]
     scene: SceneArgument,
     #[command(flatten)]
-    options: Options,
-    #[command(flatten, next_help_heading = "Rendering")]
     numbers: Dtype,
     /// The folder to write to [default: views/ in the scene]
     #[arg(short, long, value_name = "FOLDER")]
@@ -56,6 +54,8 @@ pub(super) struct Render {
     /// Print what was written as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    options: Options,
 }
 
 /// Which views, and how they are rendered.

@@ -54,8 +54,6 @@ pub(super) struct Segment {
     #[arg(long, conflicts_with = "scene")]
     each: bool,
     #[command(flatten)]
-    options: Options,
-    #[command(flatten)]
     numbers: Dtype,
     /// Folder of the weights, a folder in it for each network, instead of where `tid3r weights path`
     /// finds them
@@ -72,6 +70,8 @@ pub(super) struct Segment {
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    options: Options,
 }
 
 /// How a scene is cut and unified.

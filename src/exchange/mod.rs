@@ -7,6 +7,7 @@ pub mod cameras;
 pub mod colmap;
 pub mod glb;
 mod half_pixels;
+pub mod npz;
 pub mod ply;
 pub mod recording;
 #[cfg(feature = "rerun")]

@@ -1,17 +1,18 @@
 use super::contents::counted;
 use crate::{
     Error, Map, Result,
-    exchange::cameras::CameraView,
+    exchange::{
+        cameras::CameraView,
+        npz::{Header, NpzWriter, Number},
+    },
     geometry::matrix4,
     scene::{Frame, Role, Scale, Scene, Stage, files},
 };
-use npyz::{WriterBuilder, npz::file_name_from_array_name};
 use serde::Serialize;
 use std::{
     io::{self, Cursor},
     path::Path,
 };
-use zip::{ZipWriter, write::SimpleFileOptions};
 
 /// `depth.json`.
 #[derive(Serialize)]
@@ -106,36 +107,21 @@ fn write_npz(path: &Path, frame: &Frame) -> Result<()> {
         [0.0, lens.fy, lens.cy],
         [0.0, 0.0, 1.0],
     ];
-    let size = [lens.height, lens.width].map(u64::from);
-    let mut bytes = Cursor::new(Vec::new());
-    let mut archive = ZipWriter::new(&mut bytes);
-    let mut write = || -> io::Result<()> {
+    let size = [lens.height, lens.width].map(|side| side as usize);
+    let write = || -> io::Result<Vec<u8>> {
+        let mut archive = NpzWriter::new(Cursor::new(Vec::new()));
         for (name, map) in [("depth", &frame.depth), ("confidence", &frame.confidence)] {
-            add(&mut archive, name, &size, map.values())?;
+            let values = map.values().iter().map(|&value| f64::from(value));
+            archive.add(name, &Header::new(&size, Number::F32), values)?;
         }
         let pose = matrix4::rows(&frame.camera.cam_to_world);
-        add(&mut archive, "intrinsics", &[3, 3], matrix.as_flattened())?;
-        add(&mut archive, "cam_to_world", &[4, 4], pose.as_flattened())
+        let square = |side| Header::new(&[side, side], Number::F64);
+        archive.add("intrinsics", &square(3), matrix.into_iter().flatten())?;
+        archive.add("cam_to_world", &square(4), pose.into_iter().flatten())?;
+        Ok(archive.finish()?.into_inner())
     };
-    write().map_err(Error::io("write", path))?;
-    let finished = archive.finish().map(drop).map_err(io::Error::from);
-    finished.map_err(Error::io("write", path))?;
-    files::write_atomically(path, |out| out.write_all(bytes.get_ref()))
-}
-
-/// Adds an array to an archive, without a time: the same scene gives the same file.
-fn add<T: npyz::AutoSerialize + Copy>(
-    archive: &mut ZipWriter<&mut Cursor<Vec<u8>>>,
-    name: &str,
-    shape: &[u64],
-    values: &[T],
-) -> io::Result<()> {
-    let options = SimpleFileOptions::default().last_modified_time(zip::DateTime::default());
-    archive.start_file(file_name_from_array_name(name), options)?;
-    let array = npyz::WriteOptions::new().default_dtype().shape(shape);
-    let mut array = array.writer(archive).begin_nd()?;
-    array.extend(values.iter().copied())?;
-    array.finish()
+    let bytes = write().map_err(Error::io("write", path))?;
+    files::write_atomically(path, |out| out.write_all(&bytes))
 }
 
 #[cfg(test)]

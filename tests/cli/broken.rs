@@ -163,17 +163,17 @@ fn a_recording_with_an_archive() {
 fn an_archive_of_arrays_that_do_not_fit() {
     let place = Place::new();
     recording::write_npz(&place.path("recording"));
-    let all = PHOTOS as u64;
+    let all = PHOTOS;
     let lens = [40.0, 0.0, 31.5, 0.0, 40.0, 23.5, 0.0, 0.0, 1.0].repeat(PHOTOS);
     let poses: Vec<f64> = (0..PHOTOS).flat_map(recording::pose).flatten().collect();
-    let flat = |width: u64, height: u64| vec![1.0; (all * width * height) as usize];
-    let archive = |arrays: &[(&str, [u64; 3], Vec<f64>)]| {
+    let flat = |width: usize, height: usize| vec![1.0; all * width * height];
+    let archive = |arrays: &[(&str, [usize; 3], Vec<f64>)]| {
         recording::write_condition(&place.path("recording/condition.npz"), arrays);
         place.fail("import recording -o scene")
     };
     let lens = ("intrinsics", [all, 3, 3], lens);
     let poses = ("poses", [all, 4, 4], poses);
-    let depths = |w: u64, h: u64| ("depths", [all, h, w], flat(w, h));
+    let depths = |w: usize, h: usize| ("depths", [all, h, w], flat(w, h));
     let message = archive(&[lens.clone(), poses.clone()]);
     assert!(message.contains("`depths` is missing"), "{message}");
     let message = archive(&[lens.clone(), depths(64, 48)]);

@@ -3,7 +3,13 @@
 use crate::{Place, export, place::assert_same_files, recording};
 use serde_json::Value;
 use std::{collections::BTreeSet, fs};
-use tid3r::exchange::{cameras::CameraFile, colmap, ply, transforms::Transforms};
+use tid3r::exchange::{
+    cameras::CameraFile,
+    colmap,
+    npz::{Header, NpzReader, Number},
+    ply,
+    transforms::Transforms,
+};
 use tid3r::geometry::{Intrinsics, Point, Pose, matrix4};
 
 /// The lens that the recording's photos have.
@@ -242,26 +248,27 @@ fn depth_is_in_millimetres_and_in_archives() {
         let png = image::open(path(".depth.png")).unwrap().into_luma16();
         let confidence = image::open(path(".confidence.png")).unwrap().into_luma16();
         assert!(confidence.pixels().all(|pixel| pixel.0 == [65535]));
-        let mut archive = npyz::npz::NpzArchive::open(path(".npz")).unwrap();
-        let depth = archive.by_name("depth").unwrap().unwrap();
-        assert_eq!(
-            depth.shape(),
-            [u64::from(LENS.height), u64::from(LENS.width)]
-        );
-        let depth: Vec<f32> = depth.into_vec().unwrap();
-        for (pixel, depth) in png.pixels().zip(depth) {
-            assert!((f32::from(pixel.0[0]) / 1000.0 - depth).abs() <= 0.0006);
-        }
-        let mut matrix = |name: &str| {
-            let array = archive.by_name(name).unwrap().unwrap();
-            array.into_vec::<f64>().unwrap()
+        let file = fs::File::open(path(".npz")).unwrap();
+        let mut archive = NpzReader::new(file).unwrap();
+        let mut array = |name: &str, shape: &[u32], number: Number| {
+            let array = archive.array(name).unwrap();
+            let shape: Vec<usize> = shape.iter().map(|&side| side as usize).collect();
+            assert_eq!(array.header, Header::new(&shape, number), "{name}");
+            let mut values = Vec::new();
+            array.read(|_, value| values.push(value)).unwrap();
+            values
         };
+        let depth = array("depth", &[LENS.height, LENS.width], Number::F32);
+        for (pixel, depth) in png.pixels().zip(depth) {
+            assert!((f64::from(pixel.0[0]) / 1000.0 - depth).abs() <= 0.0006);
+        }
         assert_eq!(
-            matrix("intrinsics"),
+            array("intrinsics", &[3, 3], Number::F64),
             [40.0, 0.0, 31.5, 0.0, 40.0, 23.5, 0.0, 0.0, 1.0]
         );
         let wanted: [[f64; 4]; 4] = serde_json::from_value(view["cam_to_world"].clone()).unwrap();
-        assert_eq!(matrix("cam_to_world"), wanted.as_flattened());
+        let found = array("cam_to_world", &[4, 4], Number::F64);
+        assert_eq!(found, wanted.as_flattened());
     }
 }
 

@@ -9,6 +9,8 @@ mod bench;
 mod broken;
 mod damaged_scene;
 mod demo;
+mod doctor;
+mod documented;
 mod dtype;
 mod edit;
 mod evaluate;

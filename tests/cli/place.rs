@@ -3,6 +3,7 @@ use assert_cmd::Command;
 use serde_json::Value;
 use std::{
     collections::BTreeMap,
+    ffi::OsStr,
     fs,
     path::{Path, PathBuf},
     process::Output,
@@ -72,8 +73,13 @@ impl Place {
 
     /// What the program does with arguments that have no spaces within.
     pub(crate) fn output(&self, arguments: &str) -> Output {
+        self.output_of(&Vec::from_iter(arguments.split_whitespace()))
+    }
+
+    /// What the program does with arguments.
+    pub(crate) fn output_of(&self, arguments: &[impl AsRef<OsStr>]) -> Output {
         Command::new(PROGRAM)
-            .args(arguments.split_whitespace())
+            .args(arguments)
             .current_dir(self.folder())
             .env_remove("RUST_LOG")
             .env("RUST_BACKTRACE", "1")

@@ -5,12 +5,12 @@
 
 use flate2::{Compression, write::ZlibEncoder};
 use image::{GrayImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage};
-use npyz::WriterBuilder;
 use std::{
     fs,
     io::{Cursor, Write},
     path::Path,
 };
+use tid3r::exchange::npz::{Header, NpzWriter, Number};
 
 pub(crate) const PHOTOS: usize = 7;
 pub(crate) const WIDTH: u32 = 64;
@@ -167,7 +167,7 @@ pub(crate) fn write_npz(folder: &Path) {
         photo(k).save(folder.join(format!("rgb/{k}.png"))).unwrap();
     }
     let lens = [FOCAL, 0.0, 31.5, 0.0, FOCAL, 23.5, 0.0, 0.0, 1.0];
-    let all = PHOTOS as u64;
+    let all = PHOTOS;
     let poses = (0..PHOTOS).flat_map(pose).flatten().collect();
     let depths = (0..PHOTOS).flat_map(|k| map(k, |hit| hit.depth)).collect();
     write_condition(
@@ -175,7 +175,7 @@ pub(crate) fn write_npz(folder: &Path) {
         &[
             ("intrinsics", [all, 3, 3], lens.repeat(PHOTOS)),
             ("poses", [all, 4, 4], poses),
-            ("depths", [all, HEIGHT.into(), WIDTH.into()], depths),
+            ("depths", [all, HEIGHT as usize, WIDTH as usize], depths),
         ],
     );
 }
@@ -287,14 +287,13 @@ pub(crate) fn write_replica(folder: &Path) {
 }
 
 /// An archive of arrays of doubles.
-pub(crate) fn write_condition(path: &Path, arrays: &[(&str, [u64; 3], Vec<f64>)]) {
-    let mut npz = npyz::npz::NpzWriter::create(path).unwrap();
+pub(crate) fn write_condition(path: &Path, arrays: &[(&str, [usize; 3], Vec<f64>)]) {
+    let mut npz = NpzWriter::new(fs::File::create(path).unwrap());
     for (name, shape, values) in arrays {
-        let array = npz.array(name, Default::default()).unwrap().default_dtype();
-        let mut writer = array.shape(shape).begin_nd().unwrap();
-        writer.extend(values).unwrap();
-        writer.finish().unwrap();
+        let header = Header::new(shape, Number::F64);
+        npz.add(name, &header, values.iter().copied()).unwrap();
     }
+    npz.finish().unwrap();
 }
 
 /// Label images NAME.png for the 7-Scenes recording, as a segmenter gives them: each photo has its own

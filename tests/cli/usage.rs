@@ -59,7 +59,9 @@ fn every_verb_explains_itself() {
             &["--truth", "--truth-labels", "--truth-views", "--align"],
         ),
         ("demo", &["--output", "--seed", "--width", "--json"]),
+        ("doctor", &["--verify", "--json", "Exit code"]),
         ("completions", &["bash", "zsh", "fish"]),
+        ("man", &["--output", "man1"]),
         (
             "",
             &["run", "import", "segment", "instances", "demo", "--version"],
@@ -82,6 +84,30 @@ fn completions_name_the_verbs() {
             assert!(script.contains(verb), "{shell}");
         }
     }
+}
+
+#[test]
+fn there_is_a_manual_page_for_each_verb() {
+    let place = Place::new();
+    let page = place.run("man");
+    assert!(page.contains(".TH tid3r 1"), "{page}");
+    let said = place.run("man -o man/man1");
+    let pages = place.files("man/man1");
+    assert!(
+        said.contains(&format!("{} manual pages", pages.len())),
+        "{said}"
+    );
+    for (name, part) in [
+        ("tid3r.1", "tid3r\\-evaluate(1)"),
+        ("tid3r-run.1", "\\-\\-manifest"),
+        ("tid3r-weights-convert.1", "CHECKPOINT"),
+        ("tid3r-edit-move.1", "\\-\\-turn"),
+        ("tid3r-doctor.1", "\\-\\-verify"),
+    ] {
+        let page = String::from_utf8(pages[name].clone()).unwrap();
+        assert!(page.contains(part), "{name}: {page}");
+    }
+    assert!(!pages.contains_key("tid3r-help.1"));
 }
 
 #[test]
@@ -123,6 +149,7 @@ fn wrong_usage_has_an_exit_code_of_its_own() {
         "demo --threads 0",
         "demo -q -v",
         "completions csh",
+        "doctor room",
     ] {
         place.misuse(arguments);
     }

@@ -3,9 +3,9 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
-use hf_hub::{Cache, CacheRepo};
 use serde::Serialize;
 
+use crate::hub::HubCache;
 use crate::repository::{Repository, checkpoint_at};
 use crate::{
     Beside, CONFIG_FILE, Checkpoint, ConfigFile, Error, Network, Result, Source, Step,
@@ -138,7 +138,7 @@ fn is_ours(weights: &Path) -> bool {
 #[derive(Clone, Debug)]
 pub struct Places {
     models: Option<PathBuf>,
-    cache: Option<Cache>,
+    cache: Option<HubCache>,
 }
 
 impl Places {
@@ -157,7 +157,7 @@ impl Places {
             .or_else(|| Some(env::home_dir()?.join(".cache/huggingface/hub")));
         Self {
             models: set(MODELS),
-            cache: cache.map(Cache::new),
+            cache: cache.map(HubCache::new),
         }
     }
 
@@ -175,6 +175,11 @@ impl Places {
         self.models.as_deref()
     }
 
+    /// The local cache of Hugging Face, if the environment says where one would be.
+    pub fn cache(&self) -> Option<&Path> {
+        self.cache.as_ref().map(HubCache::path)
+    }
+
     /// The folder for converted weights of `network`, if `TID3R_MODELS` names one.
     pub fn folder(&self, network: &Network) -> Option<PathBuf> {
         Some(self.models.as_ref()?.join(network.name))
@@ -182,15 +187,13 @@ impl Places {
 
     /// The published checkpoint of `network` in the local cache of Hugging Face, not converted.
     pub fn published(&self, network: &Network) -> Option<PathBuf> {
-        let repository = self.repository(network)?;
-        network.files.iter().find_map(|file| repository.get(file))
+        (network.files.iter()).find_map(|file| self.file_of(network, file))
     }
 
-    fn repository(&self, network: &Network) -> Option<CacheRepo> {
+    /// A file of the network's repository, if the cache has it.
+    fn file_of(&self, network: &Network, path: &str) -> Option<PathBuf> {
         match network.source {
-            Source::HuggingFace(repository) => {
-                Some(self.cache.as_ref()?.model(repository.to_owned()))
-            }
+            Source::HuggingFace(repository) => self.cache.as_ref()?.file(repository, path),
             Source::Page(_) => None,
         }
     }
@@ -198,14 +201,13 @@ impl Places {
     /// Converted weights of `network` in the cache: beside the published files, or in a folder of the
     /// network's name.
     fn cached(&self, network: &Network) -> Option<PathBuf> {
-        let repository = self.repository(network)?;
         let name = network.name;
         [
             format!("{name}/{WEIGHTS_FILE}"),
             format!("checkpoints/{name}/{WEIGHTS_FILE}"),
         ]
         .iter()
-        .find_map(|file| repository.get(file))
+        .find_map(|file| self.file_of(network, file))
     }
 
     /// As [`find()`].
@@ -250,18 +252,24 @@ impl Places {
             Some(cache) => format!("nothing in {}", cache.path().display()),
             None => "no cache of Hugging Face".to_owned(),
         };
-        let remedy = match network.folder {
-            Some(folder) => self.how_to_get_all(network, folder),
-            None => self.how_to_get(network),
-        };
         Error::request(
             format!(
                 "no weights of {} are found: {looked}, {cached}",
                 network.title
             ),
-            remedy,
+            self.how_to_have(network),
         )
     }
+
+    /// What to do to have the weights of `network`: which file to get from where, under which licence, and how to
+    /// convert it.
+    pub fn how_to_have(&self, network: &Network) -> String {
+        match network.folder {
+            Some(folder) => self.how_to_get_all(network, folder),
+            None => self.how_to_get(network),
+        }
+    }
+
     /// What to do to have a network that is published by itself.
     fn how_to_get(&self, network: &Network) -> String {
         let target = match self.folder(network) {

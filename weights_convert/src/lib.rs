@@ -14,7 +14,7 @@
 //!   `config.json` ([`ConfigFile`]), from published checkpoints or from a seed, and whether they are
 //!   sound;
 //! - [`Repository`]: a folder in which all networks of a method are published, converted together;
-//! - [`find()`]: where on this machine weights are;
+//! - [`find()`], [`inspect()`]: where on this machine weights are, and what their headers say;
 //! - [`synth`]: synthetic weights, a pure function of name, shape and seed, with which a network
 //!   is compared with its original without anybody's trained weights;
 //! - [`Manifest`]: the list of tensors of an original network, read from JSON;
@@ -27,6 +27,7 @@ mod error;
 mod find;
 mod folder;
 mod hash;
+mod hub;
 mod manifest;
 mod networks;
 mod parts;
@@ -53,4 +54,4 @@ pub use progress::Step;
 pub use repository::Repository;
 pub use safetensors::Dtype;
 pub use synthesize::synthesize;
-pub use verify::{Verdict, verify};
+pub use verify::{Inspected, Verdict, inspect, verify};

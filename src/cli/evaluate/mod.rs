@@ -53,15 +53,15 @@ pub(super) struct Evaluate {
     /// finds them
     #[arg(long, value_name = "FOLDER")]
     lpips_weights: Option<PathBuf>,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     refine: refine::Options,
     #[command(flatten)]
     references: ReferenceParams,
     #[command(flatten)]
     many: many::Options,
-    /// Print the report as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

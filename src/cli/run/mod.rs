@@ -39,8 +39,6 @@ pub(super) struct Run {
     /// The folder of the scene, or that of all scenes of a list
     #[arg(short, long, value_name = "SCENE")]
     output: PathBuf,
-    #[command(flatten)]
-    many: list::Many,
     /// Folder of all weights, with one for each network, instead of that which TID3R_MODELS names
     #[arg(long, value_name = "FOLDER")]
     weights_dir: Option<PathBuf>,
@@ -52,6 +50,9 @@ pub(super) struct Run {
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
+    // Whatever comes after options with a heading stands under it.
+    #[command(flatten)]
+    many: list::Many,
     #[command(flatten, next_help_heading = "Cleaning")]
     clean: CleanParams,
     #[command(flatten, next_help_heading = "Segmentation")]

@@ -10,7 +10,6 @@ mod folder_pictures;
 mod frame_list;
 mod layouts;
 mod listing;
-mod npy;
 mod options;
 mod packed;
 mod pictures;

@@ -103,12 +103,27 @@ impl MvDust3rReconstructor {
         })
     }
 
-    /// The network with so many reference views, which its weights know nothing of, computing with this type.
-    fn network(&self, references: usize, compute_type: ComputeType) -> Result<MvDust3r> {
-        let config = Config {
+    /// What so many pictures of `size` (height, width) take on this machine.
+    ///
+    /// # Errors
+    /// As [`RunEstimate::new`].
+    pub fn estimate(&self, views: usize, size: (usize, usize)) -> Result<RunEstimate> {
+        let config = self.config_for(self.references(views));
+        let weights = self.weights.clone().in_type(self.params.dtype);
+        let gaussians = !self.params.no_gaussians;
+        RunEstimate::new(&config, views, size, gaussians, weights.footprint())
+    }
+
+    fn config_for(&self, references: usize) -> Config {
+        Config {
             n_ref: Some(references),
             ..self.config.clone()
-        };
+        }
+    }
+
+    /// The network with so many reference views, which its weights know nothing of, computing with this type.
+    fn network(&self, references: usize, compute_type: ComputeType) -> Result<MvDust3r> {
+        let config = self.config_for(references);
         MvDust3r::new(&config, &self.weights.clone().in_type(compute_type))
             .map_err(|error| damaged(&self.found, &network_problem(&error)))
     }
@@ -127,16 +142,8 @@ impl MvDust3rReconstructor {
     fn look(&self, sights: &[&Sight], progress: &dyn Progress) -> Result<Vec<ViewOutput>> {
         let views = sights.len();
         let size = sights[0].size();
-        let references = self.references(views);
-        let network = self.network(references, self.params.dtype)?;
-        let weights = self.weights.clone().in_type(self.params.dtype);
-        let estimate = RunEstimate::new(
-            network.config(),
-            views,
-            size,
-            !self.params.no_gaussians,
-            weights.footprint(),
-        )?;
+        let network = self.network(self.references(views), self.params.dtype)?;
+        let estimate = self.estimate(views, size)?;
         let rows = estimate.rows_within(self.max_memory)?;
         progress.note(&estimate.to_string());
         let options = Options {

@@ -42,7 +42,7 @@ pub use picture::{
 pub use weights::See3dWeights;
 
 use super::{Completer, Completion, Views};
-use crate::Result;
+use crate::{Result, machine::Expense};
 use job::Job;
 use run::Run;
 use serde_json::{Value, json};
@@ -64,6 +64,27 @@ impl See3d {
             max_memory: params.max_memory,
             weights,
         }
+    }
+
+    /// What so many views take on this machine, guided by as many photos as are wanted.
+    ///
+    /// # Errors
+    /// When they do not fit into memory, or the machine cannot be measured.
+    pub fn expense(&self, views: usize) -> Result<Expense> {
+        let job = Job {
+            weights: &self.weights,
+            settings: &self.settings,
+            views,
+            photos: self.settings.references as usize,
+        };
+        let plan = job.plan(self.max_memory)?;
+        let parts = job.parts(plan.group);
+        job.expense(&plan, &parts.iter().collect::<Vec<_>>())
+    }
+
+    /// Whether the weights are made up: pictures mean nothing then.
+    pub fn is_made_up(&self) -> bool {
+        self.weights.are_made_up()
     }
 
     fn job(&self, views: &Views) -> Job<'_> {

@@ -8,7 +8,7 @@ use super::{
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{available_memory, counted, readable_bytes, readable_seconds},
+    machine::{Expense, available_memory, counted, readable_bytes, readable_seconds},
 };
 use serde::{Deserialize, Serialize};
 use tid3r_models::{
@@ -240,12 +240,7 @@ impl Job<'_> {
 
     /// What the parts take, in words.
     pub(super) fn estimate(&self, plan: &Plan, parts: &[&Part]) -> Result<String> {
-        let mut work = 0.0;
-        for part in parts {
-            work += self.work(part, plan.way.tiling())?;
-        }
-        let peak = measured_peak_flops(rayon::current_num_threads())
-            .map_err(|error| unknown(&network_problem(&error)))?;
+        let Expense { seconds, bytes } = self.expense(plan, parts)?;
         let views = |stage: Stage| -> usize {
             let of_stage = parts.iter().filter(|part| part.stage == stage);
             of_stage.map(|part| part.targets.len()).sum()
@@ -262,7 +257,6 @@ impl Job<'_> {
                 Stage::SuperResolution => format!("{count} to complete once more at {side}x{side}"),
             });
         }
-        let seconds = 2.0 * work / (REACHED * peak);
         let hint = match self.settings.quality {
             Quality::Exact if seconds > LONG => " (--quality fast takes about a third of the time)",
             _ => "",
@@ -272,8 +266,22 @@ impl Job<'_> {
             tasks.join(", "),
             self.sampler()?,
             readable_seconds(seconds),
-            readable_bytes(self.bytes(plan)?)
+            readable_bytes(bytes)
         ))
+    }
+
+    /// What the parts take.
+    pub(super) fn expense(&self, plan: &Plan, parts: &[&Part]) -> Result<Expense> {
+        let mut work = 0.0;
+        for part in parts {
+            work += self.work(part, plan.way.tiling())?;
+        }
+        let peak = measured_peak_flops(rayon::current_num_threads())
+            .map_err(|error| unknown(&network_problem(&error)))?;
+        Ok(Expense {
+            seconds: 2.0 * work / (REACHED * peak),
+            bytes: self.bytes(plan)?,
+        })
     }
 }
 

@@ -2,7 +2,7 @@ use super::{Letterbox, MobileSamParams, Networks, SamFrame};
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{PROGRAM_BYTES, available_memory, readable_bytes, readable_seconds},
+    machine::{Expense, PROGRAM_BYTES, available_memory, readable_bytes, readable_seconds},
 };
 use tid3r_models::{
     Footprint,
@@ -71,6 +71,12 @@ impl PictureEstimate {
                 readable_bytes(available)
             );
         }
+    }
+}
+
+impl From<PictureEstimate> for Expense {
+    fn from(PictureEstimate { seconds, bytes }: PictureEstimate) -> Self {
+        Self { seconds, bytes }
     }
 }
 

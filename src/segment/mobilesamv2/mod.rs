@@ -33,6 +33,7 @@ use super::{
 use crate::{
     Error, Result,
     error::network_problem,
+    machine::Expense,
     photos::Photo,
     progress::Progress,
     scene::{Frame, Hasher},
@@ -71,6 +72,14 @@ impl MobileSam {
     /// What masks depend on, for `scene.json`.
     pub fn description(&self) -> Value {
         json!({ "networks": self.description, "parameters": self.params })
+    }
+
+    /// What a photo takes on this machine.
+    ///
+    /// # Errors
+    /// When the machine cannot be measured.
+    pub fn expense(&self) -> Result<Expense> {
+        PictureEstimate::new(&self.networks, &self.params, self.footprints).map(Expense::from)
     }
 
     /// A hash of photos, as files; one that cannot be read is left out, as [`Segmenter::segment`] does

@@ -55,6 +55,11 @@ impl MobileSamWeights {
         }
     }
 
+    /// Those of detector, encoder and decoder.
+    pub(crate) fn all(&self) -> [&Found; 3] {
+        [&self.detector, &self.encoder, &self.decoder]
+    }
+
     /// As [`Self::find`], but the inner error says which weights are merely missing.
     ///
     /// # Errors

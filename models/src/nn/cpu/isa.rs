@@ -42,23 +42,42 @@ impl Isa {
     /// Names the instruction set to use in place of the best one.
     pub const VARIABLE: &str = "TID3R_CPU";
 
+    /// The features that instruction sets need, and whether this CPU has them. A virtual machine may hide any of them.
+    pub fn features() -> Vec<(&'static str, bool)> {
+        #[cfg(target_arch = "x86_64")]
+        {
+            macro_rules! detected {
+                ($($name:tt),+) => { vec![$(($name, is_x86_feature_detected!($name))),+] };
+            }
+            detected!(
+                "avx2",
+                "fma",
+                "f16c",
+                "avx512f",
+                "avx512dq",
+                "avx512bw",
+                "avx512bf16"
+            )
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        Vec::new()
+    }
+
     /// Those that this CPU has, best first. The last, portable Rust, is everywhere.
     pub fn available() -> Vec<Self> {
         let mut found = Vec::new();
         #[cfg(target_arch = "x86_64")]
         {
-            // A virtual machine may hide any of them.
-            let fused = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-            let wide = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq");
-            let half =
-                is_x86_feature_detected!("avx512bf16") && is_x86_feature_detected!("avx512bw");
-            if wide && fused {
-                if half {
+            let features = Self::features();
+            let has =
+                |names: &[&'static str]| names.iter().all(|&name| features.contains(&(name, true)));
+            if has(&["avx512f", "avx512dq", "avx2", "fma"]) {
+                if has(&["avx512bf16", "avx512bw"]) {
                     found.push(Self(Kind::Avx512 { bf16: true }));
                 }
                 found.push(Self(Kind::Avx512 { bf16: false }));
             }
-            if fused && is_x86_feature_detected!("f16c") {
+            if has(&["avx2", "fma", "f16c"]) {
                 found.push(Self(Kind::Avx2));
             }
         }

@@ -1,16 +1,17 @@
 //! A folder `rgb` of photos and an archive `condition.npz` with the arrays `intrinsics` (n, 3, 3),
 //! `poses` (n, 4, 4; camera to world) and `depths` (n, h, w; scene units).
 
-use crate::exchange::recording::{
-    ImportOptions, Lens,
-    folder_pictures::Pictures,
-    listing::{ArchiveKind, DepthSource, Entry, Listing, PhotoSource, PoseSource},
-    npy::{Array, ArrayHeader},
-    pictures::SIDE_LIMIT,
-    poses::Rows,
+use crate::exchange::{
+    npz::NpzReader,
+    recording::{
+        ImportOptions, Lens,
+        folder_pictures::Pictures,
+        listing::{ArchiveKind, DepthSource, Entry, Listing, PhotoSource, PoseSource},
+        pictures::SIDE_LIMIT,
+        poses::Rows,
+    },
 };
 use crate::{Error, Map, Result, photos::PHOTO_ENDINGS, scene::Scale};
-use npyz::npz::NpzArchive;
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs::File,
@@ -30,7 +31,7 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     let photos = Pictures::list(&photos_folder, &PHOTO_ENDINGS)?;
     let mut archive = Archive::open(&folder.join(ARCHIVE))?;
     let count = photos.files.len();
-    let shape = archive.header("depths")?.shape;
+    let shape = archive.shape("depths")?;
     let [width, height] = [shape[2], shape[1]].map(|side| u32::try_from(side).ok());
     let size = match (width, height) {
         (Some(width), Some(height)) if width > 0 && height > 0 => [width, height],
@@ -85,7 +86,7 @@ pub(in crate::exchange::recording) fn read_depths(
     wanted: &BTreeSet<usize>,
 ) -> Result<BTreeMap<usize, Map<f32>>> {
     let mut archive = Archive::open(path)?;
-    let [_, height, width] = archive.header("depths")?.shape;
+    let [_, height, width] = archive.shape("depths")?;
     let sides = u32::try_from(width).ok().zip(u32::try_from(height).ok());
     let (columns, rows) = sides.ok_or_else(|| archive.refuse("depths", "has become larger"))?;
     // Zeroed memory is not touched before values arrive, so a header that lies costs nothing.
@@ -104,13 +105,13 @@ pub(in crate::exchange::recording) fn read_depths(
 /// An archive of arrays with three axes.
 struct Archive {
     path: PathBuf,
-    npz: NpzArchive<BufReader<File>>,
+    npz: NpzReader<BufReader<File>>,
 }
 
 impl Archive {
     fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io("read", path))?;
-        let npz = NpzArchive::new(BufReader::new(file)).map_err(|error| {
+        let npz = NpzReader::new(BufReader::new(file)).map_err(|error| {
             Error::file(
                 path,
                 format!("is not a readable .npz archive ({error})"),
@@ -132,13 +133,25 @@ impl Archive {
         )
     }
 
-    fn header(&mut self, array: &str) -> Result<ArrayHeader> {
-        let header = Array::open(&mut self.npz, array).map(|array| array.header);
-        header.map_err(|problem| self.refuse(array, &problem))
+    /// The length of an array along each of its three axes.
+    fn shape(&mut self, array: &str) -> Result<[usize; 3]> {
+        let shape = self.npz.array(array).map(|array| array.header.shape);
+        let shape = shape.and_then(|shape| {
+            let three = <[usize; 3]>::try_from(shape);
+            three.map_err(|shape| format!("has the shape {shape:?}, not three axes"))
+        });
+        shape.map_err(|problem| self.refuse(array, &problem))
     }
 
-    fn array(&mut self, array: &str, take: impl FnMut([usize; 3], f64)) -> Result<()> {
-        let read = Array::open(&mut self.npz, array).and_then(|array| array.read(take));
+    /// Hands every value of an array with its index to `take`.
+    fn array(&mut self, array: &str, mut take: impl FnMut([usize; 3], f64)) -> Result<()> {
+        let [_, rows, columns] = self.shape(array)?;
+        let read = self.npz.array(array).and_then(|array| {
+            array.read(|place, value| {
+                let row = place / columns;
+                take([row / rows, row % rows, place % columns], value);
+            })
+        });
         read.map_err(|problem| self.refuse(array, &problem))
     }
 
@@ -148,7 +161,7 @@ impl Archive {
         array: &str,
         count: usize,
     ) -> Result<Vec<[[f64; N]; N]>> {
-        let shape = self.header(array)?.shape;
+        let shape = self.shape(array)?;
         if shape != [count, N, N] {
             let problem = format!("has the shape {shape:?}, not {:?}", [count, N, N]);
             return Err(self.refuse(array, &problem));

@@ -9,10 +9,10 @@ pub(super) use sens::SensOptions;
 
 use crate::{
     Map,
+    exchange::npz::{Header, NpzWriter, Number},
     geometry::{Camera, Distortion, Intrinsics, Point, Pose},
 };
 use image::{DynamicImage, ImageEncoder, RgbImage, codecs::png::PngEncoder};
-use npyz::WriterBuilder;
 use std::{fs, path::Path};
 
 /// Half the sides of the box that the cameras stand in, metres.
@@ -140,29 +140,30 @@ impl Room {
         let k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0].repeat(3);
         let poses: Vec<f64> = (0..3).flat_map(|v| self.rows(v)).flatten().collect();
         let depths: Vec<f64> = (0..3).flat_map(|v| self.depth(v).into_values()).collect();
-        let [width, height] = [self.intrinsics.width, self.intrinsics.height].map(u64::from);
-        let mut npz = npyz::npz::NpzWriter::create(folder.join("condition.npz")).unwrap();
+        let [width, height] =
+            [self.intrinsics.width, self.intrinsics.height].map(|side| side as usize);
+        let file = fs::File::create(folder.join("condition.npz")).unwrap();
+        let mut npz = NpzWriter::new(file);
         for (name, shape, values) in [
             ("intrinsics", [3, 3, 3], k),
             ("poses", [3, 4, 4], poses),
             ("depths", [3, height, width], depths),
         ] {
             if fortran {
-                let array = npz.array(name, Default::default()).unwrap().default_dtype();
-                let array = array.order(npyz::Order::Fortran).shape(&shape);
-                let [n, h, w] = shape.map(|side| side as usize);
+                let header = Header {
+                    fortran_order: true,
+                    ..Header::new(&shape, Number::F32)
+                };
+                let [n, h, w] = shape;
                 let place = |at: usize| (at % n * h + at / n % h) * w + at / n / h;
-                let values = (0..n * h * w).map(|at| values[place(at)] as f32);
-                let mut writer = array.begin_nd().unwrap();
-                writer.extend(values).unwrap();
-                writer.finish().unwrap();
+                let values = (0..n * h * w).map(|at| values[place(at)]);
+                npz.add(name, &header, values).unwrap();
             } else {
-                let array = npz.array(name, Default::default()).unwrap().default_dtype();
-                let mut writer = array.shape(&shape).begin_nd().unwrap();
-                writer.extend(values).unwrap();
-                writer.finish().unwrap();
+                npz.add(name, &Header::new(&shape, Number::F64), values)
+                    .unwrap();
             }
         }
+        npz.finish().unwrap();
     }
 
     /// Photos 1, 2 and 10; depth as PGM in 1/5000 m.
