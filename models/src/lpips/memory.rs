@@ -20,17 +20,17 @@ impl Memory {
         let pictures = 2 * 3 * height * width;
         // What the slice began with, and input and output of a convolution.
         let (mut most, mut slice) = (0, 0);
-        let (mut first, mut before) = (pictures, pictures);
+        let (mut first, mut last) = (pictures, pictures);
         for layer in &layers {
             if layer.slice != slice {
-                (slice, first) = (layer.slice, before);
+                (slice, first) = (layer.slice, last);
             }
-            most = most.max(first + before + layer.numbers);
-            before = layer.numbers;
+            most = most.max(first + layer.inputs + layer.outputs);
+            last = layer.outputs;
         }
         Self {
             weights: footprint.bytes(layers.iter().map(|layer| layer.parameters).sum()),
-            working: (pictures + most) * size_of::<f32>(),
+            working: most * size_of::<f32>(),
         }
     }
 
@@ -50,9 +50,9 @@ mod tests {
         let of = |net| Memory::new(&Config::released(net), (480, 640), Footprint::default());
         // VGG16 has 14.7 million weights in its convolutions.
         assert_eq!(of(Net::Vgg).weights / 4_000, 14_714);
-        // Its first features, of 64 channels, are twice there, and the pictures twice.
+        // Its first features, of 64 channels, are twice there, and so are the pictures.
         let pixels = 2 * 480 * 640;
-        assert_eq!(of(Net::Vgg).working, 4 * pixels * (3 + 3 + 64 + 64));
+        assert_eq!(of(Net::Vgg).working, 4 * pixels * (3 + 64 + 64));
         assert!(of(Net::Alex).working < of(Net::Vgg).working / 5);
     }
 }

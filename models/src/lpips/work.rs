@@ -15,8 +15,10 @@ pub(super) struct Layer {
     pub(super) slice: usize,
     /// Multiply-adds.
     work: f64,
+    /// Numbers that it sees, after pooling.
+    pub(super) inputs: usize,
     /// Numbers of the result.
-    pub(super) numbers: usize,
+    pub(super) outputs: usize,
     /// Weights and biases.
     pub(super) parameters: usize,
 }
@@ -37,12 +39,14 @@ pub(super) fn layers(config: &Config, (height, width): (usize, usize)) -> Vec<La
             sides = sides.map(|side| over(side, 0, kernel, stride));
         }
         for (conv, outputs) in slice.convolutions.iter().zip(&mut channels) {
+            let seen = 2 * sides[0] * sides[1] * inputs;
             sides = sides.map(|side| over(side, conv.padding, conv.kernel, conv.stride));
             let weights = conv.kernel * conv.kernel * inputs * outputs;
             layers.push(Layer {
                 slice: index,
                 work: 2.0 * (sides[0] * sides[1]) as f64 * weights as f64,
-                numbers: 2 * sides[0] * sides[1] * outputs,
+                inputs: seen,
+                outputs: 2 * sides[0] * sides[1] * outputs,
                 parameters: weights + outputs,
             });
             inputs = outputs;

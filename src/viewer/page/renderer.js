@@ -10,6 +10,10 @@ import { isShown, selection, state } from "./store.js";
 const SLOW = 24;
 const QUICK = 18;
 const FEWEST = 60_000;
+/** How many times as long the picture may take that is drawn once the camera rests, and what is drawn to see what is where. */
+const PATIENCE = 10;
+/** Points that are drawn then in any case. */
+const MANY = 400_000;
 /** The camera rests once nothing has moved for so long, milliseconds. */
 const REST = 140;
 
@@ -93,9 +97,14 @@ export class Renderer {
       else if (took < QUICK) this.budget = Math.min(8_000_000, this.budget * 1.1);
     }
     this.last = moving ? now : 0;
-    // One more picture once the camera rests, with all points.
+    // One more picture once the camera rests, with all points that can be had in a moment.
     this.wanted = moving;
-    this.draw(moving ? Math.min(this.budget, this.cloud.count) : this.cloud.count, now);
+    this.draw(moving ? Math.min(this.budget, this.cloud.count) : this.most(), now);
+  }
+
+  /** The points that can be drawn in a moment: all of them, unless there is no graphics card. */
+  most() {
+    return Math.min(this.cloud.count, Math.max(MANY, PATIENCE * this.budget));
   }
 
   /** @param {number} count @param {number} now */
@@ -199,7 +208,7 @@ export class Renderer {
     gl.clear(gl.DEPTH_BUFFER_BIT);
     const [near, far] = view.range();
     const world = m.invertRigid(view.pose());
-    this.drawPoints(this.ids, world, m.projection(lens, near, far), lens, this.cloud.count);
+    this.drawPoints(this.ids, world, m.projection(lens, near, far), lens, this.most());
     gl.disable(gl.SCISSOR_TEST);
     const answers = new Uint32Array(4 * width * height);
     gl.readPixels(left, bottom, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, answers);
