@@ -136,10 +136,13 @@ class StandIn(types.ModuleType):
 
 
 class StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Puts stand-ins in the place of packages of `UNUSED` that no finder before this one finds."""
+    """Puts stand-ins in the place of packages that no finder before this one finds."""
+
+    def __init__(self, packages: set[str] = UNUSED) -> None:
+        self.packages = packages
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
-        if name.split(".")[0] in UNUSED:
+        if name.split(".")[0] in self.packages:
             return importlib.machinery.ModuleSpec(name, self, is_package=True)
         return None
 
@@ -159,6 +162,8 @@ def mvdust3r(upstream: Path, model: str, views: int) -> Callable[[], object]:
     os.environ["META_INTERNAL"] = "False"
     sys.path.insert(0, str(upstream))
     sys.meta_path.append(StandIns())
+    # For the losses, which are imported, too, it would fetch the weights of a classifier.
+    sys.meta_path.insert(0, StandIns({"torchmetrics"}))
     from dust3r.model import AsymmetricCroCo3DStereoMultiView
 
     infinity = float("inf")
