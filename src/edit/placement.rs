@@ -65,9 +65,10 @@ pub(crate) fn floor_box(points: &[Point], floor_to_world: &Pose) -> Option<[[f64
         .collect();
     Some(std::array::from_fn(|axis| {
         let mut values: Vec<f64> = local.iter().map(|p| p[axis]).collect();
-        values.sort_unstable_by(f64::total_cmp);
         let skip = (values.len() as f64 * OUTSIDE) as usize;
-        [values[skip], values[values.len() - 1 - skip]]
+        let last = values.len() - 1 - skip;
+        let mut at = |place| *values.select_nth_unstable_by(place, f64::total_cmp).1;
+        [at(skip), at(last)]
     }))
 }
 
