@@ -234,7 +234,7 @@ pub fn run(
         Config::EfficientVit(config) => {
             let encoder = EfficientVit::new(&config, &source.weights()?).map_err(failed)?;
             let work = efficient_vit::Work::new(&config).total();
-            let side = ImageEncoder::SIDE as usize;
+            let side = ImageEncoder::SIDE;
             let memory = efficient_vit::Memory::new(&config, (side, side), params.dtype);
             let memory = memory.map_err(failed)?.total();
             mobilesamv2::encoder(ImageEncoder::EfficientVit(encoder), work, memory)?
