@@ -1,33 +1,12 @@
 //! `tid3r doctor`, on a machine where nothing is set up, and where things are broken in every way.
 
-use crate::{Place, place::PROGRAM};
+use crate::Place;
 use serde_json::Value;
-use std::{fs, process::Command};
+use std::fs;
 
-/// Exit code, standard output and standard error. Nothing of the tester's own set-up is seen.
+/// Exit code, standard output and standard error of `tid3r doctor ARGUMENTS`, secluded.
 fn doctor(place: &Place, arguments: &str, environment: &[(&str, &str)]) -> (i32, String, String) {
-    let mut command = Command::new(PROGRAM);
-    for name in [
-        "TID3R_MODELS",
-        "TID3R_CPU",
-        "HF_HOME",
-        "HF_HUB_CACHE",
-        "HUGGINGFACE_HUB_CACHE",
-        "XDG_CACHE_HOME",
-        "RUST_LOG",
-    ] {
-        command.env_remove(name);
-    }
-    let output = command
-        .arg("doctor")
-        .args(arguments.split_whitespace())
-        .current_dir(place.folder())
-        .env("HOME", place.folder())
-        .envs(environment.iter().copied())
-        .output()
-        .unwrap();
-    let [out, err] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
-    (output.status.code().unwrap(), out, err)
+    place.secluded(&format!("doctor {arguments}"), environment)
 }
 
 const MODELS: (&str, &str) = ("TID3R_MODELS", "models");

@@ -87,6 +87,36 @@ impl Place {
             .unwrap()
     }
 
+    /// Exit code, standard output and standard error of a run that sees nothing of the tester's own set-up: home and
+    /// the cache of Hugging Face are in the place.
+    pub(crate) fn secluded(
+        &self,
+        arguments: &str,
+        environment: &[(&str, &str)],
+    ) -> (i32, String, String) {
+        let mut command = Command::new(PROGRAM);
+        for name in [
+            "TID3R_MODELS",
+            "TID3R_CPU",
+            "HF_HOME",
+            "HF_HUB_CACHE",
+            "HUGGINGFACE_HUB_CACHE",
+            "XDG_CACHE_HOME",
+            "RUST_LOG",
+        ] {
+            command.env_remove(name);
+        }
+        let output = command
+            .args(arguments.split_whitespace())
+            .current_dir(self.folder())
+            .env("HOME", self.folder())
+            .envs(environment.iter().copied())
+            .output()
+            .unwrap();
+        let [out, err] = texts(&output);
+        (output.status.code().unwrap(), out, err)
+    }
+
     /// Standard output and standard error of a run that succeeds.
     pub(crate) fn run_loud(&self, arguments: &str) -> [String; 2] {
         let output = self.output(arguments);

@@ -1,37 +1,15 @@
 //! `tid3r weights`: every place where weights can be, and what is said when they are nowhere.
 
-use crate::{Place, place::PROGRAM};
+use crate::Place;
 use serde_json::Value;
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::Command,
 };
 
-/// Exit code, standard output and standard error of `tid3r weights ARGUMENTS`. Nothing of the tester's
-/// own weights is seen: home and the cache of Hugging Face are in the place.
+/// Exit code, standard output and standard error of `tid3r weights ARGUMENTS`, secluded.
 fn weights(place: &Place, arguments: &str, environment: &[(&str, &str)]) -> (i32, String, String) {
-    let mut command = Command::new(PROGRAM);
-    for name in [
-        "TID3R_MODELS",
-        "HF_HOME",
-        "HF_HUB_CACHE",
-        "HUGGINGFACE_HUB_CACHE",
-        "XDG_CACHE_HOME",
-        "RUST_LOG",
-    ] {
-        command.env_remove(name);
-    }
-    let output = command
-        .arg("weights")
-        .args(arguments.split_whitespace())
-        .current_dir(place.folder())
-        .env("HOME", place.folder())
-        .envs(environment.iter().copied())
-        .output()
-        .unwrap();
-    let [out, err] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
-    (output.status.code().unwrap(), out, err)
+    place.secluded(&format!("weights {arguments}"), environment)
 }
 
 fn good(place: &Place, arguments: &str, environment: &[(&str, &str)]) -> String {
