@@ -18,8 +18,8 @@ impl Way {
 
     /// The error that no output may exceed, as a share of [`size`]: so many roundings of half a unit in the last
     /// place, which add up like a random walk over what is summed. Where a single number is much greater than all others
-    /// there is little that could cancel: F(4,3) with
-    /// an outlier of a million was seen to come to 2.8 (seed 161, 11x5, 37 inputs, 23 outputs).
+    /// there is little that could cancel: F(4,3) with an outlier of a million was seen to come to 2.8 (seed 161, 11x5, 37
+    /// inputs, 23 outputs).
     fn bound(self, layer: &Layer) -> f64 {
         let taps = layer.steps.kernel * layer.steps.kernel;
         let (roundings, depth) = match self {
