@@ -4,7 +4,7 @@ use serde_json::Value;
 use std::{
     collections::BTreeMap,
     ffi::OsStr,
-    fs,
+    fs, io,
     path::{Path, PathBuf},
     process::Output,
 };
@@ -164,24 +164,31 @@ impl Place {
     }
 
     /// All files below a folder but locks, and timings, which no two runs share.
+    ///
+    /// A server may tidy up meanwhile: what is gone when its turn comes is left out.
     pub(crate) fn files(&self, folder: &str) -> Files {
+        fn there<T>(result: io::Result<T>) -> Option<T> {
+            match result {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+                result => Some(result.unwrap()),
+            }
+        }
         fn collect(root: &Path, folder: &Path, files: &mut Files) {
-            for entry in fs::read_dir(folder).unwrap() {
+            for entry in there(fs::read_dir(folder)).into_iter().flatten() {
                 let path = entry.unwrap().path();
                 let name = path.file_name().unwrap().to_string_lossy();
                 if path.is_dir() {
                     collect(root, &path, files);
                 } else if name != "timings.json" && name != ".tid3r-lock" {
                     let below = path.strip_prefix(root).unwrap().to_string_lossy();
-                    files.insert(below.into_owned(), fs::read(&path).unwrap());
+                    let bytes = there(fs::read(&path));
+                    files.extend(bytes.map(|bytes| (below.into_owned(), bytes)));
                 }
             }
         }
         let mut files = Files::new();
         let root = self.path(folder);
-        if root.exists() {
-            collect(&root, &root, &mut files);
-        }
+        collect(&root, &root, &mut files);
         files
     }
 
