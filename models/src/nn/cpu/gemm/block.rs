@@ -7,6 +7,9 @@ use crate::nn::cpu::isa::Task;
 use crate::nn::cpu::math::activate;
 use crate::nn::cpu::simd::{MAX_TILE, Simd};
 
+/// Numbers in a line of a cache.
+pub(super) const LINE: usize = 16;
+
 /// Packed panels, one after the other.
 #[derive(Clone, Copy)]
 pub(super) struct Panels<'a> {
@@ -116,21 +119,36 @@ impl Block<'_> {
             let a = self.a.skip(row / S::MR).as_ptr();
             for column in (0..self.columns).step_by(S::NR) {
                 let b = self.b.skip(column / S::NR).as_ptr();
+                let rows = S::MR.min(self.rows - row);
+                let columns = S::NR.min(self.columns - column);
+                let c = |i: usize| self.c.wrapping_add((row + i) * self.stride + column);
+                let residual = (self.residual.as_ref())
+                    .map(|r| move |i: usize| r.row_pointer(row + i).wrapping_add(column));
+                // What is added, or written, arrives while the sums are made.
+                for i in 0..rows {
+                    near(simd, c(i));
+                    if let Some(residual) = residual.filter(|_| self.last) {
+                        near(simd, residual(i));
+                    }
+                }
                 // SAFETY: by the contract of `Block::run`, panels have that depth; a tile is at most
                 // `MAX_TILE` numbers.
                 unsafe {
                     let to = tile.0.as_mut_ptr();
                     simd.tile::<PAIRS>(self.depth, self.columns - column, a, b, to, S::NR);
                 }
-                let rows = S::MR.min(self.rows - row);
-                let columns = S::NR.min(self.columns - column);
-                let c = |i: usize| self.c.wrapping_add((row + i) * self.stride + column);
-                let residual = (self.residual.as_ref())
-                    .map(|r| move |i: usize| r.row_pointer(row + i).wrapping_add(column));
                 // SAFETY: rows and columns are inside.
                 unsafe { finish.tile(simd, &tile.0, rows, columns, column, c, residual) };
             }
         }
+    }
+}
+
+/// Brings a tile's columns of a row nearer.
+#[inline(always)]
+fn near<S: Simd>(simd: S, row: *const f32) {
+    for at in (0..S::NR).step_by(LINE) {
+        simd.prefetch(row.wrapping_add(at));
     }
 }
 

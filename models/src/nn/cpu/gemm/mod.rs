@@ -3,7 +3,7 @@
 //! The scheme is that of BLIS (Van Zee and van de Geijn 2015). `A` is copied into panels of `MR` rows
 //! and `B` into panels of `NR` columns, in each of which the numbers lie in the order of use; the
 //! product of two panels is a tile of `C` that is summed in registers ([`Simd::tile`]). Depth is cut
-//! into blocks so that a panel of `A` stays in the first cache and some of `B` in the second.
+//! into blocks so that a panel of `A` stays in the nearest caches.
 //!
 //! Each element of `C` is summed in the order of depth, block after block, whatever the number of
 //! threads and the sizes of the rest.
@@ -33,8 +33,8 @@ pub use parallel::gemm;
 pub(in crate::nn::cpu) use parallel::gemm_into;
 pub(in crate::nn::cpu) use scattered::{DEPTH as PIECES_DEPTH, Pieces, Scattered, Table};
 
-/// Depth of a block.
-const DEPTH: usize = 512;
+/// Depth of a block. The deeper, the less often `C` is read and written.
+const DEPTH: usize = 1024;
 
 /// What is done to each element of a product before it is written.
 #[derive(Clone, Copy, Debug)]

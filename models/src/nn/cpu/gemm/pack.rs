@@ -11,6 +11,10 @@ use crate::nn::cpu::isa::Task;
 use crate::nn::cpu::scratch::Scratch;
 use crate::nn::cpu::simd::{MAX_LANES, Simd, Stored};
 
+/// How far ahead rows are brought nearer while they are packed: they are too many and too far apart for processors to
+/// see where it goes.
+const AHEAD: usize = 64;
+
 /// The second factor of products, packed once for many of them.
 pub struct PackedFactor {
     isa: Isa,
@@ -231,6 +235,7 @@ pub(in crate::nn::cpu) unsafe fn pack_lines<S: Simd, T: Stored>(
                 for (i, line) in block.iter_mut().enumerate().take(some) {
                     // SAFETY: the caller lets `depth` numbers be read at the row.
                     let from = unsafe { row(first + across + i).add(start) };
+                    simd.prefetch(from.wrapping_add(AHEAD).cast());
                     // SAFETY: as above.
                     *line = unsafe { T::load_up_to(simd, from, count) };
                 }

@@ -16,9 +16,9 @@ use crate::nn::cpu::simd::Stored;
 /// Numbers of `A` that are packed at a time: 32 MiB.
 const PACKED: usize = 8 << 20;
 
-/// Panels of `B` that a task packs together, at most: 512 KiB with AVX-512. The more, the less often
+/// Panels of `B` that a task packs together, at most: 1.5 MiB with AVX-512. The more, the less often
 /// `A` is read, which is beyond the second cache.
-const GROUP: usize = 8;
+const GROUP: usize = 12;
 
 /// Rows that a task has at least, if there are as many: packing `B` costs little against using it.
 const ROWS: usize = 384;

@@ -3,16 +3,13 @@
 //! (Dukhan 2019, "The indirect convolution algorithm").
 
 use super::Packed;
-use super::block::Finish;
+use super::block::{Finish, LINE};
 use crate::nn::Activation;
 use crate::nn::cpu::isa::{Isa, Task};
 use crate::nn::cpu::simd::{MAX_TILE, Piece, Simd};
 
 /// Depth of a block, at most: a panel of `B` and a tile's rows then stay in the first cache.
 pub(in crate::nn::cpu) const DEPTH: usize = 320;
-
-/// Numbers in a line of a cache.
-const LINE: usize = 16;
 
 /// The lengths of the pieces that every row of `A` has, and how their depth is cut into blocks.
 pub(in crate::nn::cpu) struct Pieces {
