@@ -1,6 +1,9 @@
 //! What this machine has, and what this process has taken of it.
 
 mod cgroup;
+mod pace;
+
+pub(crate) use pace::{Pace, Reached};
 
 use serde::Serialize;
 use std::{fmt, fs, path::Path};

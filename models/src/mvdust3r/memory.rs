@@ -7,7 +7,8 @@ use crate::Footprint;
 
 /// Estimated peak of memory of one run, in bytes, without what the program itself needs.
 ///
-/// It is the sum of the buffers that are alive at once in each phase, the largest phase counting.
+/// It is the sum of the buffers that are alive at once in each phase: of encoder or decoder, whichever needs more, and of
+/// the heads, whose large layers find no place in what those leave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Memory {
     /// The weights that the run reads.
@@ -59,9 +60,8 @@ impl Memory {
         let memories = if config.m_ref_flag { references } else { 1 };
         let decoder = all * enc + all * dec * (2 * references + 2 * memories) + block(dec);
         let skip = if config.pts_head_config.skip {
-            // Input and output of the widest layer; kernels of two layers of two heads, as they are in
-            // the file, with batch norm folded in, and transformed to 100 products for 25 weights.
-            let kernels = 2 * 2 * (25 + 100) * config.skip_dim * config.skip_dim;
+            // Input and output of the widest layer; kernels of two layers of two heads, with batch norm folded in.
+            let kernels = 2 * 2 * 25 * config.skip_dim * config.skip_dim;
             pixels * (2 * config.skip_dim + 10) + kernels
         } else {
             0
@@ -74,7 +74,7 @@ impl Memory {
         let images = 3 * views * pixels;
         Ok(Self {
             weights: footprint.bytes(weights),
-            working: (images + encoder.max(decoder).max(heads)) * FLOAT,
+            working: (images + encoder.max(decoder) + heads) * FLOAT,
         })
     }
 

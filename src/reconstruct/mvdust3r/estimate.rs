@@ -1,13 +1,12 @@
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{PROGRAM_BYTES, available_memory, readable_bytes, readable_seconds},
+    machine::{PROGRAM_BYTES, Pace, Reached, available_memory, readable_bytes, readable_seconds},
 };
 use std::fmt;
 use tid3r_models::{
-    Footprint,
+    ComputeType, Footprint,
     mvdust3r::{Config, Memory, Options, Paths, Work},
-    nn::cpu::measured_peak_flops,
 };
 
 /// What a run of the network will take on this machine.
@@ -26,13 +25,15 @@ pub struct RunEstimate {
     pub bytes: u64,
 }
 
-/// The share of the machine's best that runs reach, by experience.
-const REACHED: f64 = 0.6;
+const REACHED: Reached = Reached {
+    f32: 0.65,
+    bf16: 1.05,
+};
 /// Tokens at a time, from what is fast to what is small.
 const ROWS: [usize; 5] = [4096, 2048, 1024, 512, 1];
 
 impl RunEstimate {
-    /// For `views` pictures of `size` (height, width), with weights of this footprint.
+    /// For `views` pictures of `size` (height, width), with weights of this footprint, in this type.
     ///
     /// # Errors
     /// When the machine cannot be measured, or no network has this configuration.
@@ -42,10 +43,10 @@ impl RunEstimate {
         size: (usize, usize),
         gaussians: bool,
         footprint: Footprint,
+        dtype: ComputeType,
     ) -> Result<Self> {
         let work = Work::new(config, views, size, Paths::First, gaussians && config.gs);
-        let peak = measured_peak_flops(rayon::current_num_threads())
-            .map_err(|error| unknown(&network_problem(&error)))?;
+        let pace = Pace::measured(dtype).map_err(|error| unknown(&network_problem(&error)))?;
         let mut estimate = Self {
             config: config.clone(),
             views,
@@ -53,7 +54,7 @@ impl RunEstimate {
             gaussians,
             footprint,
             work,
-            seconds: 2.0 * work.computed() / (REACHED * peak),
+            seconds: pace.seconds(work.computed(), REACHED),
             bytes: 0,
         };
         estimate.bytes = estimate.bytes_with(views, ROWS[0])?;

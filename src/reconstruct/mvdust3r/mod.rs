@@ -109,9 +109,10 @@ impl MvDust3rReconstructor {
     /// As [`RunEstimate::new`].
     pub fn estimate(&self, views: usize, size: (usize, usize)) -> Result<RunEstimate> {
         let config = self.config_for(self.references(views));
-        let weights = self.weights.clone().in_type(self.params.dtype);
+        let dtype = self.params.dtype;
+        let weights = self.weights.clone().in_type(dtype).footprint();
         let gaussians = !self.params.no_gaussians;
-        RunEstimate::new(&config, views, size, gaussians, weights.footprint())
+        RunEstimate::new(&config, views, size, gaussians, weights, dtype)
     }
 
     fn config_for(&self, references: usize) -> Config {

@@ -1,6 +1,6 @@
 use super::*;
 use crate::geometry::{Camera, Pose, PoseFit};
-use tid3r_models::Footprint;
+use tid3r_models::{ComputeType, Footprint};
 
 fn camera(inlier_share: f64) -> Result<RecoveredCamera, String> {
     let depth = Map::filled(1, 1, 1.0);
@@ -69,7 +69,10 @@ fn progress_reaches_its_end_and_never_goes_back() {
 #[test]
 fn a_run_that_does_not_fit_says_what_would() {
     let (config, weights) = (Config::mv_dust3r(), Footprint::Owned(4));
-    let estimate = |views| RunEstimate::new(&config, views, (224, 224), true, weights).unwrap();
+    let estimate = |views| {
+        let dtype = ComputeType::F32;
+        RunEstimate::new(&config, views, (224, 224), true, weights, dtype).unwrap()
+    };
     let (some, many) = (estimate(20), estimate(100));
     assert_eq!(some.rows_within(Some(some.bytes)).unwrap(), 4096);
     let message = some.rows_within(Some(1 << 30)).unwrap_err().to_string();

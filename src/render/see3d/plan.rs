@@ -8,21 +8,23 @@ use super::{
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{Expense, available_memory, counted, readable_bytes, readable_seconds},
-};
-use serde::{Deserialize, Serialize};
-use tid3r_models::{
-    nn::cpu::measured_peak_flops,
-    see3d::{
-        clip,
-        denoise::Halves,
-        unet,
-        vae::{self, Tiling},
+    machine::{
+        Expense, Pace, Reached, available_memory, counted, readable_bytes, readable_seconds,
     },
 };
+use serde::{Deserialize, Serialize};
+use tid3r_models::see3d::{
+    clip,
+    denoise::Halves,
+    unet,
+    vae::{self, Tiling},
+};
 
-/// The share of the machine's best that the networks reach, by experience.
-const REACHED: f64 = 0.5;
+/// Of the denoising network, which takes nearly all of the time.
+const REACHED: Reached = Reached {
+    f32: 0.58,
+    bf16: 0.8,
+};
 /// Seconds for which people would like to hear of a shorter way.
 const LONG: f64 = 600.0;
 /// Taken by the program itself, and by what networks left behind that ran before.
@@ -276,10 +278,10 @@ impl Job<'_> {
         for part in parts {
             work += self.work(part, plan.way.tiling())?;
         }
-        let peak = measured_peak_flops(rayon::current_num_threads())
+        let pace = Pace::measured(self.settings.dtype)
             .map_err(|error| unknown(&network_problem(&error)))?;
         Ok(Expense {
-            seconds: 2.0 * work / (REACHED * peak),
+            seconds: pace.seconds(work, REACHED),
             bytes: self.bytes(plan)?,
         })
     }

@@ -2,16 +2,24 @@ use super::{Letterbox, MobileSamParams, Networks, SamFrame};
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{Expense, PROGRAM_BYTES, available_memory, readable_bytes, readable_seconds},
+    machine::{
+        Expense, PROGRAM_BYTES, Pace, Reached, available_memory, readable_bytes, readable_seconds,
+    },
 };
 use tid3r_models::{
     Footprint,
     mobilesamv2::{ImageEncoder, decoder, detector, efficient_vit, tiny_vit, vit},
-    nn::cpu::measured_peak_flops,
 };
 
-/// The share of the machine's best that the networks reach, by experience.
-const REACHED: f64 = 0.35;
+const DETECTOR: Reached = reached(0.62, 0.74);
+const EFFICIENT_VIT: Reached = reached(0.8, 1.0);
+const OTHER_ENCODERS: Reached = reached(0.5, 0.7);
+const DECODER: Reached = reached(0.5, 0.5);
+
+const fn reached(f32: f64, bf16: f64) -> Reached {
+    Reached { f32, bf16 }
+}
+
 /// Objects that a photo of a room has, by experience.
 const OBJECTS: usize = 60;
 
@@ -36,9 +44,11 @@ impl PictureEstimate {
         footprints: [Footprint; 2],
     ) -> Result<Self> {
         let estimate = || {
-            let peak = measured_peak_flops(rayon::current_num_threads())?;
+            let pace = Pace::measured(params.dtype)?;
+            let parts = parts_of_work(networks, params)?;
+            let seconds = (parts.iter()).map(|&(work, reached)| pace.seconds(work, reached));
             Ok(Self {
-                seconds: 2.0 * work(networks, params)? / (REACHED * peak),
+                seconds: seconds.sum(),
                 bytes: bytes(networks, params, footprints)? as u64,
             })
         };
@@ -92,14 +102,30 @@ fn objects(params: &MobileSamParams) -> usize {
 
 /// Multiply-adds of a picture, about, as the networks tell their observers.
 pub(super) fn work(networks: &Networks, params: &MobileSamParams) -> candle_core::Result<f64> {
+    let parts = parts_of_work(networks, params)?;
+    Ok(parts.iter().map(|(work, _)| work).sum())
+}
+
+/// Those of detector, encoder and decoder, and how fast they are.
+fn parts_of_work(
+    networks: &Networks,
+    params: &MobileSamParams,
+) -> candle_core::Result<[(f64, Reached); 3]> {
     let detector = detector::Work::new(networks.detector.config(), detector_size(params))?;
     let encoder = match &networks.encoder {
-        ImageEncoder::EfficientVit(encoder) => efficient_vit::Work::new(encoder.config()).total(),
-        ImageEncoder::TinyVit(encoder) => tiny_vit::Work::new(encoder.config())?.total(),
-        ImageEncoder::Vit(encoder) => vit::Work::new(encoder.config()).total(),
+        ImageEncoder::EfficientVit(encoder) => {
+            let work = efficient_vit::Work::new(encoder.config());
+            (work.total(), EFFICIENT_VIT)
+        }
+        ImageEncoder::TinyVit(encoder) => {
+            let work = tiny_vit::Work::new(encoder.config())?;
+            (work.total(), OTHER_ENCODERS)
+        }
+        ImageEncoder::Vit(encoder) => (vit::Work::new(encoder.config()).total(), OTHER_ENCODERS),
     };
     let decoder = decoder::Work::new(networks.decoder.config()).total(objects(params));
-    Ok(detector.computed() + encoder + decoder)
+    let detector = (detector.computed(), DETECTOR);
+    Ok([detector, encoder, (decoder, DECODER)])
 }
 
 /// Bytes at the most at a time: the networks run one after another, and their weights stay.

@@ -39,11 +39,10 @@ impl Memory {
         };
         // The image alone and with the empty mask, its encoding, and keys and values of the first layer.
         let shared = places * (3 * channels + 2 * config.inner_dim());
-        // Of each box at a time the image before and after a layer, and what tokens say and ask.
+        // What tokens of a box say and ask; the image is not copied for each.
         let at_once = options.boxes.clamp(1, boxes.max(1));
-        let chunk = at_once * channels * (2 * places + 4 * config.tokens() * config.num_heads);
-        // The masks of chunks, and of all.
-        let logits = 2 * boxes * masks * 16 * places;
+        let chunk = at_once * channels * 4 * config.tokens() * config.num_heads;
+        let logits = boxes * masks * 16 * places;
         Ok(Self {
             weights: footprint.bytes(weights),
             working: (shared + chunk + logits) * FLOAT,
@@ -72,9 +71,9 @@ mod tests {
         // 4.06 million parameters of the mask decoder, and 1024 of the prompt encoder.
         let weights = of(100, 8).weights as f64 / 4e6;
         assert!((weights - 4.06).abs() < 0.01, "{weights}");
-        // 16.8 for the image, 68.9 for eight boxes, and 52.4 for the masks of all.
+        // 16.8 for the image, 1.8 for the tokens of eight boxes, and 26.2 for the masks of all.
         let working = of(100, 8).working as f64 / 1e6;
-        assert!((working - 138.1).abs() < 0.5, "{working}");
+        assert!((working - 44.8).abs() < 0.5, "{working}");
         assert!(of(100, 4).working < of(100, 8).working);
         assert_eq!(of(3, 8).working, of(3, 3).working);
     }

@@ -174,6 +174,15 @@ impl Isa {
 }
 
 impl ComputeType {
+    /// Whether this processor multiplies pairs of bf16 to compute with this type, which takes about half the time.
+    ///
+    /// # Errors
+    ///
+    /// If the environment asks for an instruction set that this CPU lacks.
+    pub fn is_in_pairs_here(self) -> Result<bool> {
+        Ok(self.in_pairs(Isa::current()?))
+    }
+
     /// Whether kernels of this instruction set multiply pairs of bf16 to compute with this type.
     pub(in crate::nn) fn in_pairs(self, isa: Isa) -> bool {
         self == Self::Bf16 && isa.multiplies_pairs()

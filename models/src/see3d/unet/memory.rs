@@ -21,6 +21,8 @@ impl Memory {
     const FLOAT: usize = size_of::<f32>();
     /// What kernels hold while they run.
     const SCRATCH: usize = 32 << 20;
+    /// Maps of the first level's size in freed memory that is too small a piece for others, by measurement.
+    const FREED: usize = 4;
 
     /// The memory of calls for `groups` of `frames` frames of `height` x `width` latents at once, with weights of
     /// this footprint.
@@ -56,7 +58,9 @@ impl Memory {
             |level: usize, channels: usize| batch * (height >> level) * (width >> level) * channels;
         Ok(Self {
             weights: footprint.bytes(weights) + laid_out * Self::FLOAT,
-            working: peak(config, batch, &map) * Self::FLOAT + Self::SCRATCH,
+            working: (peak(config, batch, &map) + Self::FREED * map(0, config.model_channels))
+                * Self::FLOAT
+                + Self::SCRATCH,
         })
     }
 
