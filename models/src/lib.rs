@@ -18,6 +18,27 @@
 //!
 //! Errors are [`candle_core::Error`]: a missing or misshapen weight is reported with its name, an
 //! input that a network cannot take with its shape.
+//!
+//! Layers and networks ask for their weights by name:
+//!
+//! ```
+//! use candle_core::{Device, Tensor};
+//! use tid3r_models::{
+//!     Weights,
+//!     nn::{Activation, Linear},
+//! };
+//!
+//! let ones = |_: &str, shape: &[usize]| vec![1.0; shape.iter().product()];
+//! let weights = Weights::from_fn(ones, &Device::Cpu);
+//! let layer = Linear::new(3, 2, &weights.pp("head"))?;
+//! let x = Tensor::new(&[[1.0_f32, 2.0, 3.0]], &Device::Cpu)?;
+//! let y = layer.forward(&x, Activation::Identity)?;
+//! // 1 + 2 + 3, and a bias of 1.
+//! assert_eq!(y.to_vec2::<f32>()?, [[7.0, 7.0]]);
+//! let asked: Vec<String> = weights.asked().into_keys().collect();
+//! assert_eq!(asked, ["head.bias", "head.weight"]);
+//! # Ok::<(), candle_core::Error>(())
+//! ```
 
 pub mod lpips;
 pub mod mobilesamv2;

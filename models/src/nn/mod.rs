@@ -7,6 +7,26 @@
 //!
 //! Tokens are `(batch, tokens, channels)`; heads share the channels, head after head, so that
 //! nothing is transposed. Images are `(batch, height, width, channels)`.
+//!
+//! A query that all keys fit alike gets the mean of their values:
+//!
+//! ```
+//! use candle_core::{DType, Device, Tensor};
+//! use tid3r_models::{
+//!     ComputeType,
+//!     nn::{Memory, attention},
+//! };
+//!
+//! let zeros = |tokens: usize| Tensor::zeros((1, tokens, 4), DType::F32, &Device::Cpu);
+//! let v = Tensor::new(&[[[1.0_f32, 2.0, 3.0, 4.0], [3.0, 6.0, 5.0, 8.0]]], &Device::Cpu)?;
+//! let memory = Memory { k: zeros(2)?, v };
+//! let result = attention(&zeros(1)?, &[memory], 2, ComputeType::F32)?;
+//! let result = result.flatten_all()?.to_vec1::<f32>()?;
+//! for (got, mean) in result.iter().zip([2.0, 4.0, 4.0, 6.0]) {
+//!     assert!((got - mean).abs() < 1e-5, "{result:?}");
+//! }
+//! # Ok::<(), candle_core::Error>(())
+//! ```
 
 mod activation;
 mod attention;
