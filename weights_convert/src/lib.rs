@@ -20,6 +20,27 @@
 //! - [`Manifest`]: the list of tensors of an original network, read from JSON;
 //! - `safetensors_file`: the one writer of safetensors. It streams: a checkpoint larger than
 //!   memory can be written, and a file is either complete or not there under its name.
+//!
+//! Weights from a seed for a small network, found again and looked at:
+//!
+//! ```
+//! use tid3r_weights_convert::{Found, Network, Precision, synthesize, verify};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let folder = tempfile::tempdir()?;
+//! let network = Network::named("lpips-alex")?;
+//! let config = network.tiny();
+//! let written = synthesize(config, 42, Precision::Bf16, folder.path(), false, &mut |_| ())?;
+//!
+//! let found = Found::at(folder.path())?;
+//! assert_eq!(found.network, network);
+//! let verdict = verify(&found, &mut |_| ())?;
+//! assert!(verdict.ok, "{:?}", verdict.problems);
+//! assert_eq!(verdict.sha256, written.sha256);
+//! assert_eq!((verdict.dtypes, verdict.provenance.seed), (vec!["bf16".to_owned()], Some(42)));
+//! # Ok(())
+//! # }
+//! ```
 
 mod checkpoint;
 mod convert;

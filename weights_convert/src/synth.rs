@@ -22,6 +22,18 @@
 //!
 //! so that activations keep about unit scale through a network. Synthetic input is `v` itself,
 //! under the name `input:` + name.
+//!
+//! ```
+//! use tid3r_weights_convert::synth;
+//!
+//! let weight = synth::tensor("fc.weight", &[5, 7], 42);
+//! assert_eq!(weight.len(), 35);
+//! // fan_in is 7.
+//! let most = (3.0_f32 / 7.0).sqrt();
+//! assert!(weight.iter().all(|value| value.abs() <= most));
+//! assert_eq!(weight, synth::tensor("fc.weight", &[5, 7], 42));
+//! assert_ne!(weight, synth::tensor("fc.weight", &[5, 7], 43));
+//! ```
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
