@@ -1,4 +1,18 @@
 //! Plain drawing for contact sheets and maps: text, lines, dots.
+//!
+//! A map of labels as a picture:
+//!
+//! ```
+//! use image::{Rgb, RgbImage};
+//! use tid3r::{Map, draw::colour_of};
+//!
+//! let labels = Map::from_fn(4, 2, |x, _| x / 2);
+//! let picture = RgbImage::from_fn(4, 2, |x, y| Rgb(colour_of(labels[(x, y)])));
+//! // Hue 0, saturation 65 %, value 95 %.
+//! assert_eq!(picture[(0, 0)], Rgb([242, 85, 85]));
+//! assert_eq!(picture[(0, 0)], picture[(1, 1)]);
+//! assert_ne!(picture[(1, 0)], picture[(2, 0)]);
+//! ```
 
 use font8x8::{BASIC_FONTS, UnicodeFonts};
 use image::{Rgb, RgbImage};

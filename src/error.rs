@@ -1,6 +1,20 @@
 //! The one error type of the library.
 //!
 //! Every message says what is wrong, where, and what to do about it; the binary prints it as is.
+//!
+//! ```
+//! use std::path::Path;
+//! use tid3r::{Error, scene::Scene};
+//!
+//! let Err(Error::File { path, remedy, .. }) = Scene::open(Path::new("no/such/scene")) else {
+//!     panic!("there is no scene there");
+//! };
+//! assert_eq!(path, Path::new("no/such/scene"));
+//! assert!(remedy.contains("tid3r reconstruct"));
+//!
+//! let error = Error::file("room.ply", "holds no point", "give a whole file");
+//! assert_eq!(error.to_string(), "room.ply: holds no point; give a whole file");
+//! ```
 
 use std::path::{Path, PathBuf};
 

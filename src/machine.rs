@@ -1,4 +1,19 @@
 //! What this machine has, and what this process has taken of it.
+//!
+//! Whether there is room for a piece of work:
+//!
+//! ```
+//! use tid3r::machine::{Expense, available_memory, total_memory};
+//!
+//! let expense = Expense { seconds: 180.0, bytes: 3_200_000_000 };
+//! assert_eq!(expense.to_string(), "about 3 min and 3.2 GB");
+//! let (free, all) = (available_memory(), total_memory());
+//! assert!(free <= all);
+//! // Where the system does not say, it is tried.
+//! if free.is_some_and(|free| free < expense.bytes) {
+//!     println!("too little memory for {expense}");
+//! }
+//! ```
 
 mod cgroup;
 mod pace;

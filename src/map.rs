@@ -1,4 +1,19 @@
 //! Per-pixel maps.
+//!
+//! ```
+//! use tid3r::Map;
+//!
+//! let depth = Map::from_fn(4, 3, |x, y| (10 * y + x) as f32);
+//! assert_eq!(depth[(2, 1)], 12.0);
+//! // Values are row-major, pixel centres at whole coordinates.
+//! assert_eq!(depth.index(2, 1), 6);
+//! assert_eq!(depth.nearest(1.6, 0.9), Some(6));
+//! assert_eq!(depth.nearest(3.6, 0.0), None, "outside");
+//!
+//! let far = depth.map(|&z| z > 22.0);
+//! assert_eq!(far.values().iter().filter(|&&far| far).count(), 1);
+//! assert_eq!(far.dilated(1).values().iter().filter(|&&far| far).count(), 4);
+//! ```
 
 /// A value for every pixel of an image, row-major: depth, confidence, labels, validity.
 #[derive(Clone, Debug, PartialEq)]

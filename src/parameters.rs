@@ -1,4 +1,21 @@
 //! Numbers on the command line, checked when they are read: clap's value parsers.
+//!
+//! ```
+//! use tid3r::parameters;
+//!
+//! assert_eq!(parameters::memory("1.5GB"), Ok(1_500_000_000));
+//! assert_eq!(parameters::share("0.25"), Ok(0.25));
+//! assert_eq!(parameters::share("25"), Err("a number from 0 to 1 is wanted".into()));
+//!
+//! #[derive(clap::Parser)]
+//! struct Options {
+//!     #[arg(long, value_parser = parameters::positive)]
+//!     focal: f64,
+//! }
+//! let parsed = |focal| <Options as clap::Parser>::try_parse_from(["program", "--focal", focal]);
+//! assert_eq!(parsed("500").unwrap().focal, 500.0);
+//! assert!(parsed("0").is_err());
+//! ```
 
 /// A number that is neither infinite nor NaN.
 ///

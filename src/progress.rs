@@ -1,4 +1,25 @@
 //! How long work reports that it goes on.
+//!
+//! ```
+//! use std::sync::Mutex;
+//! use tid3r::progress::{Part, Progress};
+//!
+//! #[derive(Default)]
+//! struct Log(Mutex<Vec<String>>);
+//!
+//! impl Progress for Log {
+//!     fn begin(&self, task: &str, total: usize) {
+//!         self.0.lock().unwrap().push(format!("{task}: {total} steps"));
+//!     }
+//!     fn advance(&self, _steps: usize) {}
+//!     fn end(&self) {}
+//! }
+//!
+//! let log = Log::default();
+//! let cleaning = Part { number: 2, of: 3, progress: &log };
+//! cleaning.begin("cleaning", 12);
+//! assert_eq!(*log.0.lock().unwrap(), ["2/3 cleaning: 12 steps"]);
+//! ```
 
 use image::RgbImage;
 

@@ -1,4 +1,29 @@
 //! How fast the networks, and the kernels that they spend their time in, run on this machine.
+//!
+//! LPIPS on AlexNet, with made-up weights, on small pictures:
+//!
+//! ```
+//! use tid3r::{bench::{BenchParams, run}, progress::Silent};
+//! use tid3r_models::ComputeType;
+//! use tid3r_weights_convert::Network;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let params = BenchParams {
+//!     size: Some("64x48".parse()?),
+//!     dtype: ComputeType::F32,
+//!     runs: 2,
+//!     views: Vec::new(),
+//!     boxes: Vec::new(),
+//!     profile: false,
+//!     gaussians: false,
+//!     all_paths: false,
+//! };
+//! let rows = run(Network::named("lpips-alex")?, &params, None, &Silent)?;
+//! assert_eq!(rows[0].seconds.len(), 2);
+//! assert!(rows[0].gflops > 0.0);
+//! # Ok(())
+//! # }
+//! ```
 
 mod kernels;
 mod lpips;

@@ -1,4 +1,20 @@
 //! What this machine can do with tid3r, what will be slow and why, and what is missing: looked at, never changed.
+//!
+//! ```
+//! use tid3r::{
+//!     doctor::{Part, State, examine},
+//!     progress::Silent,
+//! };
+//! use tid3r_weights_convert::{Network, Places};
+//!
+//! let report = examine(&Places::of_environment(), false, &Silent);
+//! for finding in report.findings.iter().filter(|finding| finding.state != State::Ok) {
+//!     println!("{}: {} ({})", finding.name, finding.text, finding.state);
+//! }
+//! assert_eq!(report.weights.len(), Network::all().len());
+//! let mut verbs = report.findings.iter().filter(|finding| finding.part == Part::Verbs);
+//! assert_eq!(report.ok, verbs.all(|verb| matches!(verb.state, State::Ok | State::Slow)));
+//! ```
 
 mod computer;
 mod gpu;

@@ -1,6 +1,24 @@
 //! Edits of the instance-labelled cloud: a list, applied whenever the scene is used.
 //!
 //! Nothing is ever destroyed: undoing drops the last entry of the list.
+//!
+//! ```
+//! use tid3r::edit::{Edit, EditList, Placement, describe};
+//!
+//! let mut list = EditList::default();
+//! list.push(Edit::Remove { instances: vec![3, 5] })?;
+//! let placement = Placement { by: [0.5, 0.0, 0.0], turn_degrees: 90.0, ..Placement::default() };
+//! list.push(Edit::Move { instance: 1, placement })?;
+//! assert_eq!(describe(&list.edits()[1]), "move 1 by 0.5, 0, 0, turned 90°");
+//!
+//! list.undo();
+//! assert_eq!(list.edits(), [Edit::Remove { instances: vec![3, 5] }]);
+//! list.redo();
+//! assert_eq!(list.edits().len(), 2);
+//! // An instance cannot become part of itself.
+//! assert!(list.push(Edit::Merge { instance: 1, others: vec![1], name: None }).is_err());
+//! # Ok::<(), tid3r::Error>(())
+//! ```
 
 mod apply;
 mod colour;

@@ -3,6 +3,27 @@
 //! Pure functions over maps, poses, point labels and pictures, but for [`lpips`], whose networks have
 //! weights, and [`scene`], which puts together what is known of a scene folder. Every number is the same whatever
 //! the number of threads.
+//!
+//! Depth whose scale nobody knows, and a picture that is one grey level off:
+//!
+//! ```
+//! use image::{Rgb, RgbImage};
+//! use tid3r::{
+//!     Map,
+//!     evaluate::{depth::{Alignment, DepthSequence}, image::psnr},
+//! };
+//!
+//! let truth = Map::from_fn(8, 8, |x, y| (1 + x + y) as f32);
+//! let mut depth = DepthSequence::new();
+//! depth.push("photo", &truth.map(|z| z / 2.0), &truth, None)?;
+//! let report = depth.report(Alignment::Scale)?;
+//! assert_eq!((report.scale, report.all.rmse, report.all.delta1), (2.0, 0.0, 1.0));
+//!
+//! let grey = |value| RgbImage::from_pixel(8, 8, Rgb([value; 3]));
+//! // 20 log10(255)
+//! assert!((psnr(&grey(101), &grey(100), None)? - 48.1308).abs() < 1e-4);
+//! # Ok::<(), tid3r::Error>(())
+//! ```
 
 pub mod depth;
 pub mod image;

@@ -3,6 +3,29 @@
 //! Clouds are edited ones; photos and their cameras are as they were photographed, lenses those of the
 //! photos in their original size. PLY, splats, COLMAP and `cameras.json` are in the scene's frame, GLB,
 //! recordings of Rerun and `transforms.json` upright in the floor's.
+//!
+//! One instance for a program that reads the format of the file's name:
+//!
+//! ```
+//! use std::path::Path;
+//! use tid3r::{
+//!     Error, Result,
+//!     export::{ExportParams, Format, export},
+//!     scene::Scene,
+//! };
+//!
+//! fn export_chair(scene: &Path, output: &Path) -> Result<String> {
+//!     let unknown = || Error::request("the name says no format", "end it in .ply or .glb");
+//!     let format = Format::of(output).ok_or_else(unknown)?;
+//!     let only = vec!["chair".to_string()];
+//!     let params = ExportParams { only, no_photos: false, depth: false, max_points: 100_000 };
+//!     export(&Scene::open(scene)?, format, output, &params)
+//! }
+//!
+//! assert_eq!(Format::of(Path::new("chair.glb")), Some(Format::Glb));
+//! let error = export_chair(Path::new("room"), Path::new("chair.obj")).unwrap_err();
+//! assert_eq!(error.to_string(), "the name says no format; end it in .ply or .glb");
+//! ```
 
 mod cameras;
 mod clouds;

@@ -2,6 +2,20 @@
 //!
 //! Frames are OpenCV's throughout: x right, y down, z forward; pixel centres at whole coordinates;
 //! depth is z in the camera frame.
+//!
+//! ```
+//! use tid3r::geometry::{Camera, Intrinsics, Point, Pose};
+//!
+//! let intrinsics =
+//!     Intrinsics { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 319.5, cy: 239.5 };
+//! // A metre to the right of the scene's origin.
+//! let camera = Camera { intrinsics, cam_to_world: Pose::translation(1.0, 0.0, 0.0) };
+//! let point = Point::new(1.5, 0.0, 2.0);
+//! // 500 * 0.5 / 2 + 319.5
+//! assert_eq!(camera.project(&point), Some(([444.5, 239.5], 2.0)));
+//! assert_eq!(camera.unproject(444.5, 239.5, 2.0), point);
+//! assert_eq!(camera.project(&Point::new(1.5, 0.0, -2.0)), None, "behind the camera");
+//! ```
 
 mod align;
 mod camera;

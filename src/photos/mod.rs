@@ -1,4 +1,22 @@
 //! Photos as users give them, and the way back to them from what a network saw.
+//!
+//! What a network sees of a photo of 12 megapixels, and the photo's lens by what it says of that:
+//!
+//! ```
+//! use tid3r::{geometry::Intrinsics, photos::NetworkFrame};
+//!
+//! let frame = NetworkFrame::new([4000, 3000], 512, false)?;
+//! assert_eq!(frame.size(), [512, 384]);
+//! let transform = frame.transform();
+//! // A pixel of the frame is 4000 / 512 pixels of the photo wide; corners stay corners.
+//! assert_eq!(transform.to_photo([-0.5, -0.5]), [-0.5, -0.5]);
+//! assert_eq!(transform.to_photo([511.5, 383.5]), [3999.5, 2999.5]);
+//!
+//! let seen = Intrinsics { width: 512, height: 384, fx: 400.0, fy: 400.0, cx: 255.5, cy: 191.5 };
+//! let lens = transform.intrinsics_of_photo(&seen);
+//! assert_eq!((lens.width, lens.fx, lens.cx), (4000, 3125.0, 1999.5));
+//! # Ok::<(), tid3r::Error>(())
+//! ```
 
 mod archive;
 mod contents;

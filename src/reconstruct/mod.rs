@@ -1,4 +1,31 @@
 //! From photos to cameras and depth, and the removal of points that cannot be right.
+//!
+//! The camera of a photo by the points that a network says its pixels show:
+//!
+//! ```
+//! use tid3r::{
+//!     Map,
+//!     geometry::Intrinsics,
+//!     progress::Silent,
+//!     reconstruct::{Pointmap, RecoveryParams, recover_cameras},
+//! };
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let lens = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+//! // A wall that recedes to the right.
+//! let points = Map::from_fn(64, 48, |x, y| {
+//!     let depth = 2.0 + 0.02 * f64::from(x);
+//!     lens.unproject(x.into(), y.into(), depth).coords.map(|c| c as f32).into()
+//! });
+//! let pointmap = Pointmap { confidence: points.map(|_| 1.0), points };
+//! let recovery = recover_cameras(&[pointmap], &[None], &RecoveryParams::default(), 42, &Silent)?;
+//! let recovered = recovery.views[0].outcome.clone()?;
+//! assert!((recovered.camera.intrinsics.fx - 60.0).abs() < 0.01);
+//! assert!(recovered.camera.centre().coords.norm() < 1e-3);
+//! assert!(!recovered.is_doubtful());
+//! # Ok(())
+//! # }
+//! ```
 
 mod anomalies;
 mod from_photos;

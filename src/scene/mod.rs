@@ -25,6 +25,36 @@
 //! Every stage owns its files. Each is written under a temporary name and renamed when whole;
 //! `scene.json` names a stage as done only after its last file. So a process killed at any moment
 //! leaves a scene that the next one can use.
+//!
+//! In memory, a scene is frames, and a cloud of the points that they show:
+//!
+//! ```
+//! use tid3r::{
+//!     Map,
+//!     geometry::{Camera, Intrinsics, Pose},
+//!     photos::{Photo, PhotoTransform},
+//!     scene::{Cloud, Frame},
+//! };
+//!
+//! let intrinsics = Intrinsics { width: 4, height: 2, fx: 4.0, fy: 4.0, cx: 1.5, cy: 0.5 };
+//! let frame = Frame {
+//!     photo: Photo::new("wall", "wall.png"),
+//!     transform: PhotoTransform::whole([4, 2], [4, 2]),
+//!     camera: Camera { intrinsics, cam_to_world: Pose::identity() },
+//!     colour: image::RgbImage::new(4, 2),
+//!     // In the first column, depth is not known.
+//!     depth: Map::from_fn(4, 2, |x, _| if x == 0 { 0.0 } else { 2.0 }),
+//!     confidence: Map::filled(4, 2, 1.0),
+//! };
+//! let valid = Map::filled(4, 2, true);
+//! let instances = Map::from_fn(4, 2, |x, _| u32::from(x == 3));
+//! let cloud = Cloud::from_frames(&[frame], &[valid], Some(&[instances]));
+//! assert_eq!(cloud.len(), 6);
+//! let (object, rest) = cloud.partition(|index, cloud| cloud.instances[index] == 1);
+//! // (3 - 1.5) / 4 * 2, (0 - 0.5) / 4 * 2
+//! assert_eq!(object.positions[0], [0.75, -0.25, 2.0]);
+//! assert_eq!((object.len(), rest.len()), (2, 4));
+//! ```
 
 mod cloud;
 pub mod files;

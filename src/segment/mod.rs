@@ -1,4 +1,19 @@
 //! From frames to masks, and from masks to instances.
+//!
+//! Masks may overlap; a label is one thing's. A cup on a table stays a cup:
+//!
+//! ```
+//! use tid3r::segment::{Mask, MaskParams};
+//!
+//! // In a picture of 4 x 4 pixels, by their places.
+//! let table = Mask::from_pixels(4..16, 0.9);
+//! let cup = Mask::from_pixels([5, 6, 9, 10], 0.8);
+//! assert_eq!(cup.share_in(&table), 1.0);
+//! assert_eq!(cup.iou(&table), 4.0 / 12.0);
+//!
+//! let labels = MaskParams::default().labels(&[table, cup], 4, 4);
+//! assert_eq!(labels.map.values()[..8], [0, 0, 0, 0, 1, 2, 2, 1]);
+//! ```
 
 mod coco_rle;
 mod described;
