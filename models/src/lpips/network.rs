@@ -13,6 +13,8 @@ use crate::{Observer, Parameter, Unobserved, Weights};
 #[derive(Clone, Debug)]
 pub struct Lpips {
     config: Config,
+    /// That of the weights.
+    device: Device,
     stages: Vec<Stage>,
 }
 
@@ -72,6 +74,7 @@ impl Lpips {
         let stages = config.net.slices().iter().enumerate();
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             stages: stages.map(&mut stage).collect::<Result<_>>()?,
         })
     }
@@ -125,8 +128,9 @@ impl Lpips {
             );
         }
         let work = Work::new(&self.config, (height, width));
-        let constant = |values: &[f32; 3]| Tensor::new(values, first.device());
+        let constant = |values: &[f32; 3]| Tensor::new(values, &self.device);
         let mut x = Tensor::cat(&[first, second], 0)?
+            .to_device(&self.device)?
             .broadcast_sub(&constant(&SHIFT)?)?
             .broadcast_div(&constant(&SCALE)?)?;
         let mut distances = vec![

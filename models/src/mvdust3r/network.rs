@@ -1,6 +1,6 @@
 //! The whole network.
 
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 use std::collections::BTreeMap;
 
 use super::{
@@ -14,6 +14,8 @@ use crate::nn::Precision;
 #[derive(Debug)]
 pub struct MvDust3r {
     config: Config,
+    /// That of the weights.
+    device: Device,
     encoder: Encoder,
     decoder: Decoder,
     /// For the reference view, and for all others.
@@ -84,6 +86,7 @@ impl MvDust3r {
         let gaussian = |i| GaussianHead::new(config, &weights.pp("downstream_GS_head").pp(i));
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             encoder: Encoder::new(config, weights)?,
             decoder: Decoder::new(config, weights)?,
             points_heads: [points(1)?, points(2)?],
@@ -140,6 +143,7 @@ impl MvDust3r {
             bail!("statistics of the batch are over all paths, so all paths must be wanted");
         }
         let grid = PatchGrid::new(height, width, self.config.patch_size)?;
+        let images = &images.to_device(&self.device)?;
         let encoded = self
             .encoder
             .forward(&images.flatten(0, 1)?, options.rows, observer)?;
@@ -239,12 +243,13 @@ impl MvDust3r {
                 show("head_skip", skip)?;
             }
             show("head_raw", &raw.raw)?;
+            let host = |x: &Tensor| part(x, i)?.to_device(&Device::Cpu);
             let gaussians = match &gaussians {
                 Some(all) => Some(Gaussians {
-                    rgb: part(&all.rgb, i)?,
-                    opacity: part(&all.opacity, i)?,
-                    scale: part(&all.scale, i)?,
-                    rotation: part(&all.rotation, i)?,
+                    rgb: host(&all.rgb)?,
+                    opacity: host(&all.opacity)?,
+                    scale: host(&all.scale)?,
+                    rotation: host(&all.rotation)?,
                 }),
                 None => None,
             };

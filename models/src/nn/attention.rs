@@ -3,6 +3,7 @@
 use candle_core::{D, Result, Tensor, bail};
 
 use super::cpu::{self, HostTensor, Isa};
+use super::linear::product;
 use super::{Activation, Linear, Rotation};
 use crate::{ComputeType, Weights};
 
@@ -80,9 +81,12 @@ fn masked(
         let isa = Isa::current()?;
         cpu::attention(isa, q, memories, heads, mask, compute_type.in_pairs(isa))
     } else {
-        plain(q, memories, heads, mask)
+        plain(q, memories, heads, mask, compute_type)
     }
 }
+
+/// Scores that exist at a time, of all heads, at most, unless those of one query are more.
+const SCORES: usize = 1 << 27;
 
 /// Attention by candle's own operations.
 pub(super) fn plain(
@@ -90,6 +94,19 @@ pub(super) fn plain(
     memories: &[Memory],
     heads: usize,
     mask: Option<&[f32]>,
+    compute_type: ComputeType,
+) -> Result<Tensor> {
+    plain_within(SCORES, q, memories, heads, mask, compute_type)
+}
+
+/// [`plain`] with so many scores at a time.
+fn plain_within(
+    most: usize,
+    q: &Tensor,
+    memories: &[Memory],
+    heads: usize,
+    mask: Option<&[f32]>,
+    compute_type: ComputeType,
 ) -> Result<Tensor> {
     let (batch, queries, channels) = q.dims3()?;
     if heads == 0 || !channels.is_multiple_of(heads) {
@@ -109,20 +126,36 @@ pub(super) fn plain(
         });
         split(&Tensor::cat(&parts.collect::<Result<Vec<_>>>()?, 1)?)
     };
-    let (q, k, v) = (split(q)?, all(|m| &m.k)?, all(|m| &m.v)?);
     let scale = ((channels / heads) as f64).powf(-0.5);
-    let mut scores = (q * scale)?.matmul(&k.t()?)?;
-    if let Some(mask) = mask {
-        let mask = Tensor::from_slice(mask, (queries, k.dim(2)?), k.device())?;
-        scores = scores.broadcast_add(&mask.to_dtype(scores.dtype())?)?;
-    }
-    let exp = scores
-        .broadcast_sub(&scores.max_keepdim(D::Minus1)?)?
-        .exp()?;
-    exp.broadcast_div(&exp.sum_keepdim(D::Minus1)?)?
-        .matmul(&v)?
+    let (q, k, v) = ((split(q)? * scale)?, all(|m| &m.k)?, all(|m| &m.v)?);
+    let dtype = compute_type.dtype();
+    let (k, v) = (k.to_dtype(dtype)?.t()?, v.to_dtype(dtype)?);
+    let keys = v.dim(2)?;
+    let mask = mask.map(|mask| Tensor::from_slice(mask, (queries, keys), q.device()));
+    let mask = mask.transpose()?;
+    let of_some = |first: usize, count: usize| -> Result<Tensor> {
+        let mut scores = product(&q.narrow(2, first, count)?.contiguous()?, &k)?;
+        if let Some(mask) = &mask {
+            scores = scores.broadcast_add(&mask.narrow(0, first, count)?)?;
+        }
+        product(&softmax(&scores, 3)?, &v)
+    };
+    let at_once = (most / (batch * heads * keys).max(1)).clamp(1, queries.max(1));
+    let parts = (0..queries)
+        .step_by(at_once)
+        .map(|first| of_some(first, at_once.min(queries - first)))
+        .collect::<Result<Vec<_>>>()?;
+    Tensor::cat(&parts, 2)?
         .transpose(1, 2)?
         .reshape((batch, queries, channels))
+}
+
+/// The softmax along a dimension, by candle's own operations.
+pub(super) fn softmax(scores: &Tensor, dimension: usize) -> Result<Tensor> {
+    let exp = scores
+        .broadcast_sub(&scores.max_keepdim(dimension)?)?
+        .exp()?;
+    exp.broadcast_div(&exp.sum_keepdim(dimension)?)
 }
 
 /// Self-attention of several heads, with one layer `qkv` for queries, keys and values.
@@ -330,7 +363,7 @@ mod tests {
                     }
                 })
                 .collect();
-            let want = plain(&q, &memories, heads, None).unwrap();
+            let want = plain(&q, &memories, heads, None, ComputeType::F32).unwrap();
             for isa in Isa::available() {
                 let got = cpu::attention(isa, &q, &memories, heads, None, false).unwrap();
                 prop_assert_eq!(got.dims(), want.dims());
@@ -356,8 +389,8 @@ mod tests {
             let of = |k: Tensor, v: Tensor| [Memory { k, v }];
             // Odd channels are no pairs.
             let want = match dim {
-                1 => plain(&q, &of(k.clone(), v.clone()), heads, None),
-                _ => plain(&rounded(&q), &of(rounded(&k), rounded(&v)), heads, None),
+                1 => plain(&q, &of(k.clone(), v.clone()), heads, None, ComputeType::F32),
+                _ => plain(&rounded(&q), &of(rounded(&k), rounded(&v)), heads, None, ComputeType::F32),
             };
             for isa in Isa::available() {
                 let got = cpu::attention(isa, &q, &of(k.clone(), v.clone()), heads, None, true);
@@ -380,7 +413,7 @@ mod tests {
                     k: k.narrow(1, 0, last + 1).unwrap(),
                     v: v.narrow(1, 0, last + 1).unwrap(),
                 };
-                let want = plain(&query, &[memory], 3, None).unwrap();
+                let want = plain(&query, &[memory], 3, None, ComputeType::F32).unwrap();
                 let got = got.narrow(1, last, 1).unwrap();
                 for (got, want) in flat(&got).iter().zip(flat(&want)) {
                     assert!((got - want).abs() < 2e-4, "{count} {last}: {got} {want}");
@@ -390,6 +423,26 @@ mod tests {
         let (q, k) = (tokens(1, 3, 8), tokens(1, 5, 8));
         assert!(causal_attention(&q, &k, &k, 2, ComputeType::F32).is_err());
         assert!(causal_attention(&q, &q, &q, 2, ComputeType::F32).is_ok());
+    }
+
+    #[test]
+    fn some_queries_at_a_time_find_the_same() {
+        let (q, k, v) = (tokens(2, 10, 24), tokens(2, 10, 24), tokens(1, 10, 24));
+        let memories = [Memory {
+            k,
+            v: v.repeat((2, 1, 1)).unwrap(),
+        }];
+        let mask: Vec<f32> = (0..100).map(|i| (i as f32).sin()).collect();
+        let within = |most| {
+            let found = plain_within(most, &q, &memories, 3, Some(&mask), ComputeType::F32);
+            flat(&found.unwrap())
+        };
+        // 60 scores of each query: one at a time, and three.
+        for most in [1, 180] {
+            for (got, want) in within(most).iter().zip(within(600)) {
+                assert!((got - want).abs() < 1e-5, "{most}: {got} {want}");
+            }
+        }
     }
 
     #[test]

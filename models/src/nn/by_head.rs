@@ -10,6 +10,7 @@ use candle_core::{D, DType, Device, Result, Tensor, bail};
 
 use super::Linear;
 use super::cpu::{Epilogue, Factor, HostTensor, Matrix, MatrixMut, gemm};
+use super::linear::product;
 use crate::Parameter;
 
 impl Linear {
@@ -35,7 +36,7 @@ impl Linear {
             }
             _ => {
                 let weight = self.weight.tensor()?;
-                let of_head = |h| rows_of(y, h, dim)?.matmul(&weight.narrow(0, h * dim, dim)?);
+                let of_head = |h| product(&rows_of(y, h, dim)?, &weight.narrow(0, h * dim, dim)?);
                 Tensor::cat(&(0..heads).map(of_head).collect::<Result<Vec<_>>>()?, 1)?
             }
         };
@@ -74,7 +75,7 @@ impl Linear {
                 let weight = self.weight.tensor()?;
                 let of_head = |h| {
                     let part = weight.narrow(0, h * dim, dim)?;
-                    rows_of(&x, h, self.inputs)?.matmul(&part.t()?)
+                    product(&rows_of(&x, h, self.inputs)?, &part.t()?)
                 };
                 let y = Tensor::cat(&(0..heads).map(of_head).collect::<Result<Vec<_>>>()?, 1)?;
                 match &self.bias {
@@ -105,7 +106,7 @@ impl Linear {
                 let weight = self.weight.tensor()?;
                 let of_head = |h| {
                     let part = weight.narrow(1, h * dim, dim)?.t()?.contiguous()?;
-                    rows_of(x, h, dim)?.matmul(&part)
+                    product(&rows_of(x, h, dim)?, &part)
                 };
                 Tensor::cat(&(0..heads).map(of_head).collect::<Result<Vec<_>>>()?, 1)?
             }

@@ -164,7 +164,7 @@ fn attentions() -> Result<Vec<Comparison>> {
             floor,
             (x, [memory]),
             |(q, memories)| attention(q, memories, HEADS, ComputeType::F32),
-            |(q, memories)| attention::plain(q, memories, HEADS, None),
+            |(q, memories)| attention::plain(q, memories, HEADS, None, ComputeType::F32),
         ))
     };
     let of_windows = {
@@ -187,7 +187,7 @@ fn attentions() -> Result<Vec<Comparison>> {
                 window_attention(q, memory, beyond, [WINDOW; 2], bias, ComputeType::F32)
             },
             |(q, memory, beyond, bias)| {
-                window_attention::plain(q, memory, beyond, [WINDOW; 2], bias)
+                window_attention::plain(q, memory, beyond, [WINDOW; 2], bias, ComputeType::F32)
             },
         )
     };

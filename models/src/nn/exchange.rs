@@ -3,6 +3,7 @@
 use candle_core::{Device, Result, Tensor, bail};
 
 use super::LayerNorm;
+use super::attention::softmax;
 use super::cpu::{self, ExchangeInputs, HostTensor, Isa};
 
 /// What tokens say to whatever attends to them.
@@ -152,14 +153,6 @@ fn plain(
     let scores = rows.matmul(&image.broadcast_add(encoding)?.t()?)?;
     let found = softmax(&scores, 2)?.matmul(&image)?;
     Ok((image, found.reshape(asked.shape())?))
-}
-
-/// The softmax along a dimension.
-fn softmax(scores: &Tensor, dimension: usize) -> Result<Tensor> {
-    let exp = scores
-        .broadcast_sub(&scores.max_keepdim(dimension)?)?
-        .exp()?;
-    exp.broadcast_div(&exp.sum_keepdim(dimension)?)
 }
 
 #[cfg(test)]

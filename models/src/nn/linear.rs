@@ -143,12 +143,17 @@ impl Linear {
         let weight = self.weight.tensor()?.reshape((self.outputs, self.inputs))?;
         let shape = [&x.dims()[..x.rank() - 1], &[self.outputs]].concat();
         let rows = x.contiguous()?.reshape(((), self.inputs))?;
-        let y = rows.matmul(&weight.t()?)?.reshape(shape)?;
+        let y = product(&rows, &weight.t()?)?.reshape(shape)?;
         match &self.bias {
             Some(bias) => y.broadcast_add(&bias.tensor()?),
             None => Ok(y),
         }
     }
+}
+
+/// `x w` by candle's own operations, in the type of `w`; the result is of the type of `x`.
+pub(super) fn product(x: &Tensor, w: &Tensor) -> Result<Tensor> {
+    x.to_dtype(w.dtype())?.matmul(w)?.to_dtype(x.dtype())
 }
 
 #[cfg(test)]

@@ -1,9 +1,11 @@
 //! Attention within windows of an image of tokens.
 
-use candle_core::{D, Result, Tensor, bail};
+use candle_core::{Result, Tensor, bail};
 
 use super::Memory;
+use super::attention::softmax;
 use super::cpu::{self, HostTensor, Isa};
+use super::linear::product;
 use crate::ComputeType;
 
 /// What is added to the scores of attention within a window of `rows` x `columns` tokens, before the
@@ -88,7 +90,7 @@ pub fn window_attention(
         let pairs = compute_type.in_pairs(isa);
         cpu::window_attention(isa, q, memory, beyond, window, bias, pairs)
     } else {
-        plain(q, memory, beyond, window, bias)
+        plain(q, memory, beyond, window, bias, compute_type)
     }
 }
 
@@ -99,6 +101,7 @@ pub(super) fn plain(
     beyond: &Memory,
     window: [usize; 2],
     bias: &ScoreBias,
+    compute_type: ComputeType,
 ) -> Result<Tensor> {
     let (batch, height, width, heads, dim) = q.dims5()?;
     let [rows, columns] = window;
@@ -110,10 +113,16 @@ pub(super) fn plain(
     // (batch, height, width, heads, dim) to (windows, heads, tokens, dim).
     let cut = |x: &Tensor, beyond: &Tensor| -> Result<Tensor> {
         let beyond = beyond.reshape((1, 1, 1, heads, dim))?;
-        let below = beyond.broadcast_as((batch, down * rows - height, width, heads, dim))?;
-        let x = Tensor::cat(&[x, &below], 1)?;
-        let right = (batch, down * rows, across * columns - width, heads, dim);
-        let x = Tensor::cat(&[x, beyond.broadcast_as(right)?], 2)?;
+        // Devices have no tensors of nothing.
+        let filled = |x: Tensor, axis: usize, size: usize| match size - x.dim(axis)? {
+            0 => Ok(x),
+            more => {
+                let mut shape = x.dims().to_vec();
+                shape[axis] = more;
+                Tensor::cat(&[&x, &beyond.broadcast_as(shape)?], axis)
+            }
+        };
+        let x = filled(filled(x.clone(), 1, down * rows)?, 2, across * columns)?;
         x.reshape(&[batch, down, rows, across, columns, heads, dim][..])?
             .permute(vec![0, 1, 3, 5, 2, 4, 6])?
             .reshape((windows, heads, rows * columns, dim))
@@ -121,7 +130,9 @@ pub(super) fn plain(
     let (k, v) = (cut(&memory.k, &beyond.k)?, cut(&memory.v, &beyond.v)?);
     // The result of queries beyond the image is dropped.
     let q = cut(q, &beyond.k)?;
-    let scores = (&q * (dim as f64).powf(-0.5))?.matmul(&k.t()?)?;
+    let dtype = compute_type.dtype();
+    let (k, v) = (k.to_dtype(dtype)?, v.to_dtype(dtype)?);
+    let scores = product(&(&q * (dim as f64).powf(-0.5))?, &k.t()?)?;
     let scores = match bias {
         ScoreBias::None => scores,
         ScoreBias::Table(table) => scores.broadcast_add(table)?,
@@ -140,11 +151,7 @@ pub(super) fn plain(
                 .reshape(scores.shape())?
         }
     };
-    let exp = scores
-        .broadcast_sub(&scores.max_keepdim(D::Minus1)?)?
-        .exp()?;
-    exp.broadcast_div(&exp.sum_keepdim(D::Minus1)?)?
-        .matmul(&v)?
+    product(&softmax(&scores, 3)?, &v)?
         .reshape(&[batch, down, across, heads, rows, columns, dim][..])?
         .permute(vec![0, 1, 4, 2, 5, 3, 6])?
         .reshape((batch, down * rows, across * columns, heads * dim))?
@@ -288,7 +295,7 @@ mod tests {
                     columns: random(&[2 * window[1] - 1, dim]),
                 },
             };
-            let want = plain(&q, &memory, &beyond, window, &bias).unwrap();
+            let want = plain(&q, &memory, &beyond, window, &bias, ComputeType::F32).unwrap();
             for isa in Isa::available() {
                 let got = cpu::window_attention(isa, &q, &memory, &beyond, window, &bias, false).unwrap();
                 prop_assert_eq!(got.dims(), want.dims());
@@ -312,7 +319,7 @@ mod tests {
         };
         let table = ScoreBias::Table(random(&[heads, 35 * 33, 35 * 33]));
         for bias in [ScoreBias::None, table, relative] {
-            let want = plain(&q, &memory, &beyond, window, &bias).unwrap();
+            let want = plain(&q, &memory, &beyond, window, &bias, ComputeType::F32).unwrap();
             for (isa, pairs) in Isa::available()
                 .into_iter()
                 .flat_map(|isa| [(isa, false), (isa, true)])

@@ -3,9 +3,10 @@
 use std::fmt;
 use std::str::FromStr;
 
+use candle_core::DType;
 use serde::{Deserialize, Serialize};
 
-/// The type of the numbers that layers multiply on a CPU. Sums, norms, softmaxes and whatever passes from one
+/// The type of the numbers that layers multiply. Sums, norms, softmaxes and whatever passes from one
 /// layer to the next are in f32 in either case.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -24,6 +25,14 @@ impl ComputeType {
     /// Whether it is what layers compute with unless something else is asked for.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// What candle calls it.
+    pub(crate) fn dtype(self) -> DType {
+        match self {
+            Self::F32 => DType::F32,
+            Self::Bf16 => DType::BF16,
+        }
     }
 
     /// Bytes of a weight that is laid out for a kernel.

@@ -28,6 +28,7 @@ use candle_core::{Device, Result, bail};
 use half::bf16;
 use rayon::prelude::*;
 
+use crate::nn::cpu::kernels_fit;
 use file::{MappedFile, Wanted};
 use parameter::Values;
 
@@ -102,17 +103,18 @@ impl Weights {
         }
     }
 
-    /// These weights for layers that compute with this type. Only those on a CPU know another than f32.
+    /// These weights for layers that compute with this type.
     #[must_use]
     pub fn in_type(self, compute_type: ComputeType) -> Self {
-        let compute_type = match self.shared.device.is_cpu() {
-            true => compute_type,
-            false => ComputeType::F32,
-        };
         Self {
             compute_type,
             ..self
         }
+    }
+
+    /// Where tensors are.
+    pub fn device(&self) -> &Device {
+        &self.shared.device
     }
 
     /// What layers compute with.
@@ -120,12 +122,13 @@ impl Weights {
         self.compute_type
     }
 
-    /// What the numbers of linear maps and convolutions take in memory on a CPU; others are few.
+    /// What the numbers of linear maps and convolutions take in memory; others are few.
     pub fn footprint(&self) -> Footprint {
-        match (&self.shared.source, self.compute_type) {
-            (Source::File(file), compute_type) => file.footprint(compute_type),
-            (Source::Function(_) | Source::Names, ComputeType::F32) => Footprint::Owned(4),
-            (Source::Function(_) | Source::Names, ComputeType::Bf16) => Footprint::Owned(2),
+        match &self.shared.source {
+            // Elsewhere, convolutions keep f32.
+            _ if !kernels_fit(&self.shared.device) => Footprint::Owned(size_of::<f32>()),
+            Source::File(file) => file.footprint(self.compute_type),
+            Source::Function(_) | Source::Names => Footprint::Owned(self.compute_type.bytes()),
         }
     }
 
@@ -156,13 +159,13 @@ impl Weights {
         self.read(shape.into(), name, Wanted::Single)
     }
 
-    /// As [`Self::get`], but on a CPU in what layers compute with: for f32, numbers of half precision stay as
-    /// they are in the file, and for bf16, others are rounded to that.
+    /// As [`Self::get`], but in what layers compute with: for f32, numbers of half precision stay as they are in the
+    /// file if the kernels of this project read them, and for bf16, others are rounded to that.
     pub(crate) fn get_stored(&self, shape: impl Into<Vec<usize>>, name: &str) -> Result<Parameter> {
-        let wanted = match (self.shared.device.is_cpu(), self.compute_type) {
-            (false, _) => Wanted::Single,
-            (true, ComputeType::F32) => Wanted::Stored,
-            (true, ComputeType::Bf16) => Wanted::Rounded,
+        let wanted = match self.compute_type {
+            ComputeType::F32 if kernels_fit(&self.shared.device) => Wanted::Stored,
+            ComputeType::F32 => Wanted::Single,
+            ComputeType::Bf16 => Wanted::Rounded,
         };
         self.read(shape.into(), name, wanted)
     }

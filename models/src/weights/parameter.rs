@@ -10,6 +10,7 @@ use half::{bf16, f16};
 use rayon::prelude::*;
 
 use super::mapping::Mapping;
+use crate::nn::cpu::kernels_fit;
 
 /// One tensor of a network.
 #[derive(Clone, Debug)]
@@ -29,7 +30,7 @@ pub(super) enum Values {
     Single(Arc<[f32]>),
     Rounded(Arc<[bf16]>),
     Half(Arc<[f16]>),
-    /// On a device that is no CPU.
+    /// Where candle's own operations compute, in the type that they do it with.
     Device(Tensor),
 }
 
@@ -74,8 +75,13 @@ impl fmt::Debug for Values {
 impl Parameter {
     pub(super) fn new(shape: Vec<usize>, values: Values, device: &Device) -> Result<Self> {
         let mut parameter = Self { shape, values };
-        if !device.is_cpu() {
-            let tensor = parameter.tensor()?.to_device(device)?;
+        if !kernels_fit(device) && parameter.on_host() {
+            let tensor = match parameter.numbers() {
+                Some(Numbers::Bf16(values)) => {
+                    Tensor::from_slice(values, &parameter.shape[..], device)?
+                }
+                _ => parameter.tensor()?.to_device(device)?,
+            };
             parameter.values = Values::Device(tensor);
         }
         Ok(parameter)
@@ -101,9 +107,9 @@ impl Parameter {
     ///
     /// Those of candle.
     pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
-        let values = match tensor.device() {
-            Device::Cpu => Values::Single(tensor.flatten_all()?.to_vec1()?.into()),
-            _ => Values::Device(tensor.clone()),
+        let values = match kernels_fit(tensor.device()) {
+            true => Values::Single(tensor.flatten_all()?.to_vec1()?.into()),
+            false => Values::Device(tensor.clone()),
         };
         Ok(Self {
             shape: tensor.dims().to_vec(),
@@ -116,7 +122,7 @@ impl Parameter {
         &self.shape
     }
 
-    /// The values, row-major, if they are on the CPU and in f32.
+    /// The values, row-major, if this project's kernels read them, and they are in f32.
     pub fn host(&self) -> Option<&[f32]> {
         match self.numbers()? {
             Numbers::F32(values) => Some(values),
@@ -124,7 +130,7 @@ impl Parameter {
         }
     }
 
-    /// Whether there are values, and on the CPU.
+    /// Whether there are values that this project's kernels read.
     pub(crate) fn on_host(&self) -> bool {
         match &self.values {
             Values::Single(values) => !values.is_empty(),

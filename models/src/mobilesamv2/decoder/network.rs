@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{DType, Result, Tensor, bail};
+use candle_core::{DType, Device, Result, Tensor, bail};
 
 use super::{Config, MaskDecoder, PromptEncoder, Work};
 use crate::{Observer, Weights};
@@ -11,6 +11,8 @@ use crate::{Observer, Weights};
 #[derive(Clone, Debug)]
 pub struct Decoder {
     config: Config,
+    /// That of the weights.
+    device: Device,
     prompt_encoder: PromptEncoder,
     mask_decoder: MaskDecoder,
 }
@@ -69,6 +71,7 @@ impl Decoder {
         let prompt_encoder = weights.pp("prompt_encoder");
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             prompt_encoder: PromptEncoder::new(&config.prompt_encoder, &prompt_encoder)?,
             mask_decoder: MaskDecoder::new(&config.mask_decoder, &weights.pp("mask_decoder"))?,
         })
@@ -129,6 +132,7 @@ impl Decoder {
                 iou: none(&[0, masks])?,
             });
         }
+        let image = image.to_device(&self.device)?;
         let image = image.broadcast_add(&self.prompt_encoder.no_mask()?)?;
         let side = (self.mask_decoder).look_at(&image, &self.prompt_encoder.places()?)?;
         let work = Work::new(&self.config);
@@ -146,7 +150,10 @@ impl Decoder {
                     observer,
                 )?;
                 observer.advance(corners.dim(0)? as f64 * work.of_box());
-                Ok((masks.logits, masks.iou))
+                Ok((
+                    masks.logits.to_device(&Device::Cpu)?,
+                    masks.iou.to_device(&Device::Cpu)?,
+                ))
             })
             .collect::<Result<(Vec<_>, Vec<_>)>>()?;
         Ok(Masks {

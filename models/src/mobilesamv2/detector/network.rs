@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 
 use super::backbone::Backbone;
 use super::neck::Neck;
@@ -14,6 +14,8 @@ use crate::{Observer, Weights};
 #[derive(Debug)]
 pub struct Detector {
     config: Config,
+    /// That of the weights.
+    device: Device,
     backbone: Backbone,
     neck: Neck,
     head: Head,
@@ -32,6 +34,7 @@ impl Detector {
         let weights = weights.pp("model");
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             backbone: Backbone::new(config, &weights)?,
             neck: Neck::new(config, &weights)?,
             head: Head::new(config, &weights.pp(Work::HEAD))?,
@@ -105,8 +108,11 @@ impl Detector {
     }
 
     fn levels(&self, image: &Tensor, watch: &mut Watch<'_>) -> Result<[Tensor; 3]> {
-        self.neck
-            .forward(self.backbone.forward(image, watch)?, watch)
+        self.neck.forward(
+            self.backbone
+                .forward(&image.to_device(&self.device)?, watch)?,
+            watch,
+        )
     }
 
     fn maps(&self, level: usize, x: &Tensor, watch: &mut Watch<'_>) -> Result<HeadMaps> {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor};
+use candle_core::{Device, Result, Tensor};
 
 use super::backbone::Backbone;
 use super::neck::Neck;
@@ -14,6 +14,8 @@ use crate::{Observer, Unobserved, Weights};
 #[derive(Clone, Debug)]
 pub struct EfficientVit {
     config: Config,
+    /// That of the weights.
+    device: Device,
     work: Work,
     backbone: Backbone,
     neck: Neck,
@@ -34,6 +36,7 @@ impl EfficientVit {
         config.validate()?;
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             work: Work::new(config),
             backbone: Backbone::new(config, &weights.pp("backbone"))?,
             neck: Neck::new(config, &weights.pp("neck"))?,
@@ -74,10 +77,10 @@ impl EfficientVit {
     ///
     /// As [`Self::forward`], and those of `observer`.
     pub fn forward_observed(&self, image: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
-        let image = resize_bilinear(image, Self::SIDE, Self::SIDE)?;
+        let image = resize_bilinear(&image.to_device(&self.device)?, Self::SIDE, Self::SIDE)?;
         let stages = self.backbone.forward(&image, &self.work, observer)?;
         let features = self.neck.forward(&stages, &self.work, observer)?;
-        self.norm.forward(&features)
+        self.norm.forward(&features)?.to_device(&Device::Cpu)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor};
+use candle_core::{Device, Result, Tensor};
 
 use super::{Config, Layer, PatchEmbed, Work};
 use crate::mobilesamv2::Neck;
@@ -12,6 +12,8 @@ use crate::{Observer, Unobserved, Weights};
 #[derive(Clone, Debug)]
 pub struct TinyVit {
     config: Config,
+    /// That of the weights.
+    device: Device,
     work: Work,
     patch_embed: PatchEmbed,
     layers: Vec<Layer>,
@@ -33,6 +35,7 @@ impl TinyVit {
         let (dims, layers) = (&config.embed_dims, weights.pp("layers"));
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             work: Work::new(config)?,
             patch_embed: PatchEmbed::new(dims[0], &weights.pp("patch_embed"))?,
             layers: (0..dims.len())
@@ -75,7 +78,7 @@ impl TinyVit {
     ///
     /// As [`Self::forward`], and those of `observer`.
     pub fn forward_observed(&self, image: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
-        let mut x = self.patch_embed.forward(image)?;
+        let mut x = self.patch_embed.forward(&image.to_device(&self.device)?)?;
         observer.advance(self.work.patch_embed);
         observer.stage("patch_embed", &|| Ok(x.clone()))?;
         for (i, layer) in self.layers.iter().enumerate() {
@@ -85,7 +88,7 @@ impl TinyVit {
         }
         let x = self.neck.forward(&x)?;
         observer.advance(self.work.neck);
-        Ok(x)
+        x.to_device(&Device::Cpu)
     }
 }
 

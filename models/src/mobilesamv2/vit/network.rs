@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 
 use super::{Block, Config, Work};
 use crate::mobilesamv2::Neck;
@@ -13,6 +13,8 @@ use crate::{Observer, Parameter, Unobserved, Weights};
 #[derive(Clone, Debug)]
 pub struct Vit {
     config: Config,
+    /// That of the weights.
+    device: Device,
     work: Work,
     patch_embed: Linear,
     /// (1, grid, grid, channels).
@@ -37,6 +39,7 @@ impl Vit {
         let blocks = weights.pp("blocks");
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             work: Work::new(config),
             patch_embed: Linear::of_patches(Self::COLOURS, patch, channels, &proj)?,
             pos_embed: weights.get([1, grid, grid, channels], "pos_embed")?,
@@ -81,7 +84,7 @@ impl Vit {
     ///
     /// As [`Self::forward`], and those of `observer`.
     pub fn forward_observed(&self, image: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
-        let mut x = self.embed(image)?;
+        let mut x = self.embed(&image.to_device(&self.device)?)?;
         observer.advance(self.work.patch_embed);
         for (i, block) in self.blocks.iter().enumerate() {
             x = block.forward(&x)?;
@@ -90,7 +93,7 @@ impl Vit {
         }
         let x = self.neck.forward(&x)?;
         observer.advance(self.work.neck);
-        Ok(x)
+        x.to_device(&Device::Cpu)
     }
 
     /// The tokens (batch, grid, grid, channels) of patches, with their absolute positions.

@@ -9,7 +9,7 @@ mod transpose;
 
 use std::sync::{Arc, OnceLock};
 
-use candle_core::{Device, Error, Result, Tensor, bail};
+use candle_core::{DType, Device, Error, Result, Tensor, bail};
 
 use super::cpu::conv::{
     Convolution, Epilogue, Filter, Images, Part, Pixels, Stage, Steps, in_turn,
@@ -400,11 +400,18 @@ impl Conv2d {
             after,
             ..
         } = self.steps;
-        x.permute((0, 3, 1, 2))?
+        let dtype = self.parameters.compute_type().dtype();
+        // On a CPU, candle convolves in f32 only.
+        let rounded = |x: &Tensor| match x.to_dtype(dtype)? {
+            x if x.device().is_cpu() => x.to_dtype(DType::F32),
+            x => Ok(x),
+        };
+        rounded(&x.permute((0, 3, 1, 2))?)?
             .pad_with_zeros(2, before, after)?
             .pad_with_zeros(3, before, after)?
             .contiguous()?
-            .conv2d(&weight, 0, stride, 1, 1)?
+            .conv2d(&rounded(&weight)?, 0, stride, 1, 1)?
+            .to_dtype(x.dtype())?
             .permute((0, 2, 3, 1))?
             .broadcast_add(&bias)?
             .contiguous()

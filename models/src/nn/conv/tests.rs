@@ -103,7 +103,7 @@ fn zeros_after_the_image_only() {
     // Ones, of which a window at the border has fewer: 9 weights of 1, then 6 or 4.
     let weights = Weights::from_fn(|_, s| vec![1.0; s.iter().product()], &Device::Cpu);
     let conv = Conv2d::without_bias(1, 1, 3, &weights).unwrap();
-    let x = Tensor::ones((1, 4, 4, 1), candle_core::DType::F32, &Device::Cpu).unwrap();
+    let x = Tensor::ones((1, 4, 4, 1), DType::F32, &Device::Cpu).unwrap();
     let got = (conv.with_stride(2).with_padding_after()).forward(&x, Activation::Identity);
     let got = got.unwrap().flatten_all().unwrap().to_vec1::<f32>();
     assert_eq!(got.unwrap(), [9.0, 6.0, 6.0, 4.0]);
@@ -197,10 +197,9 @@ fn what_does_not_fit_is_refused() {
     let forward = |x: &Tensor| conv.forward(x, Activation::Identity);
     assert!(forward(&image((1, 3, 3, 5))).is_err());
     assert!(forward(&x.squeeze(0).unwrap()).is_err());
-    assert!(forward(&x.to_dtype(candle_core::DType::F64).unwrap()).is_err());
+    assert!(forward(&x.to_dtype(DType::F64).unwrap()).is_err());
     assert!(conv.forward_add(&x, &x).is_err());
-    let empty =
-        forward(&Tensor::zeros((0, 3, 3, 4), candle_core::DType::F32, &Device::Cpu).unwrap());
+    let empty = forward(&Tensor::zeros((0, 3, 3, 4), DType::F32, &Device::Cpu).unwrap());
     assert_eq!(empty.unwrap().dims(), [0, 3, 3, 5]);
 }
 

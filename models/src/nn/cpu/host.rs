@@ -1,5 +1,6 @@
 //! Candle's tensors as arrays.
 
+use super::isa::kernels_fit;
 use candle_core::{DType, Layout, Result, Storage, StorageRef, Tensor, bail};
 
 /// The numbers of an f32 tensor in the CPU's memory.
@@ -11,7 +12,7 @@ pub(in crate::nn) struct HostTensor<'a> {
 impl<'a> HostTensor<'a> {
     /// Whether `tensor` is one.
     pub(in crate::nn) fn fits(tensor: &Tensor) -> bool {
-        tensor.device().is_cpu() && tensor.dtype() == DType::F32
+        kernels_fit(tensor.device()) && tensor.dtype() == DType::F32
     }
 
     /// # Errors

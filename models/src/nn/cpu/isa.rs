@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::OnceLock;
 
-use candle_core::{Error, Result};
+use candle_core::{Device, Error, Result};
 
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
@@ -39,7 +39,7 @@ pub(super) trait Task {
 }
 
 impl Isa {
-    /// Names the instruction set to use in place of the best one.
+    /// Names the instruction set to use in place of the best one, or [`CANDLE`].
     pub const VARIABLE: &str = "TID3R_CPU";
 
     /// The features that instruction sets need, and whether this CPU has them. A virtual machine may hide any of them.
@@ -101,13 +101,13 @@ impl Isa {
     fn named(name: Option<&str>) -> std::result::Result<Self, String> {
         let available = Self::available();
         let found = match name {
-            None | Some("") => available.first(),
+            None | Some("" | CANDLE) => available.first(),
             Some(name) => available.iter().find(|isa| isa.name() == name),
         };
         found.copied().ok_or_else(|| {
             let names: Vec<&str> = available.iter().map(|isa| isa.name()).collect();
             format!(
-                "{} is {}; on this CPU it can be {}",
+                "{} is {}; on this CPU it can be {}, or {CANDLE}",
                 Self::VARIABLE,
                 name.unwrap_or_default(),
                 names.join(", ")
@@ -151,6 +151,17 @@ impl Isa {
             Kind::Portable => task.run(Portable),
         }
     }
+}
+
+/// What [`Isa::VARIABLE`] is if layers shall compute with candle's operations. They are slow on a CPU, but they are what
+/// GPUs do.
+const CANDLE: &str = "candle";
+
+/// Whether this project's kernels compute with what is on `device`, and not candle's operations.
+pub(crate) fn kernels_fit(device: &Device) -> bool {
+    static WANTED: OnceLock<bool> = OnceLock::new();
+    let wanted = || std::env::var(Isa::VARIABLE).as_deref() != Ok(CANDLE);
+    device.is_cpu() && *WANTED.get_or_init(wanted)
 }
 
 impl Isa {
@@ -226,6 +237,7 @@ mod tests {
             assert_eq!(Isa::named(Some(isa.name())), Ok(isa));
         }
         assert_eq!(Isa::named(None), Ok(Isa::available()[0]));
+        assert_eq!(Isa::named(Some(CANDLE)), Ok(Isa::available()[0]));
         let message = Isa::named(Some("sse9")).unwrap_err();
         assert!(message.contains("sse9") && message.contains("portable"));
     }

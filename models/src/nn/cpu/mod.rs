@@ -2,7 +2,8 @@
 //!
 //! Each kernel is written once, against the vectors of `simd`, and compiled for every instruction
 //! set; [`Isa::current`] says at run time which one is used. The environment variable `TID3R_CPU`
-//! (`avx512bf16`, `avx512`, `avx2` or `portable`) overrides it.
+//! (`avx512bf16`, `avx512`, `avx2` or `portable`) overrides it. If it is `candle`, no kernel is used: layers then compute
+//! with candle's operations, as they do on GPUs.
 //!
 //! A result depends on the instruction set, but not on the number of threads.
 //!
@@ -40,6 +41,7 @@ mod upscaling;
 pub use allocation::keep_freed_memory;
 pub use gemm::{Epilogue, Factor, Matrix, MatrixMut, PackedFactor, gemm, gemm_serial};
 pub use isa::Isa;
+pub(crate) use isa::kernels_fit;
 pub use peak::measured_peak_flops;
 pub use simd::Pair;
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{DType, Result, Tensor, bail};
+use candle_core::{DType, Device, Result, Tensor, bail};
 
 use super::layer::{Layer, Mask};
 use super::{TextConfig, Work};
@@ -89,7 +89,7 @@ impl TextEncoder {
             observer.advance(work.layer);
             observer.stage(&format!("hidden_{}", i + 1), &|| Ok(x.clone()))?;
         }
-        self.final_layer_norm.forward(&x)
+        self.final_layer_norm.forward(&x)?.to_device(&Device::Cpu)
     }
 
     fn embed(&self, ids: &Tensor) -> Result<Tensor> {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 
 use super::layer::{Layer, Mask};
 use super::{VisionConfig, Work};
@@ -13,6 +13,8 @@ use crate::{Observer, Parameter, Unobserved, Weights};
 #[derive(Clone, Debug)]
 pub struct VisionEncoder {
     config: VisionConfig,
+    /// That of the weights.
+    device: Device,
     work: Work,
     /// (channels).
     class_embedding: Parameter,
@@ -40,6 +42,7 @@ impl VisionEncoder {
         let norm = |name: &str| LayerNorm::new(channels, eps, &model.pp(name));
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             work: Work::of_vision(config),
             class_embedding: embeddings.get([channels], "class_embedding")?,
             patch_embedding: Linear::of_patches_without_bias(
@@ -100,7 +103,9 @@ impl VisionEncoder {
         pictures: &Tensor,
         observer: &mut dyn Observer,
     ) -> Result<Tensor> {
-        let mut x = self.pre_layrnorm.forward(&self.embed(pictures)?)?;
+        let mut x = self
+            .pre_layrnorm
+            .forward(&self.embed(&pictures.to_device(&self.device)?)?)?;
         observer.advance(self.work.embeddings);
         observer.stage("hidden_0", &|| Ok(x.clone()))?;
         for (i, layer) in self.layers.iter().enumerate() {
@@ -113,7 +118,7 @@ impl VisionEncoder {
             .visual_projection
             .forward(&class.squeeze(1)?, Activation::Identity)?;
         observer.advance(self.work.projection);
-        Ok(embeddings)
+        embeddings.to_device(&Device::Cpu)
     }
 
     /// The class token and those of patches, row by row, with their positions.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 
 use super::block::{Block, Call};
 use super::embedding::TimeEmbed;
@@ -15,6 +15,8 @@ use crate::{Observer, Weights};
 #[derive(Clone, Debug)]
 pub struct Unet {
     config: Config,
+    /// That of the weights.
+    device: Device,
     precision: Precision,
     time_embed: TimeEmbed,
     input: Vec<Block>,
@@ -85,6 +87,7 @@ impl Unet {
             )?,
             out_conv: out_conv.with_precision(precision),
             config: config.clone(),
+            device: weights.device().clone(),
             precision,
         })
     }
@@ -124,6 +127,7 @@ impl Unet {
                 self.config.context_dim
             );
         }
+        let context = &context.to_device(&self.device)?;
         let blocks = self.input.iter().chain([&self.middle]).chain(&self.output);
         let memories = blocks
             .map(|block| block.contexts(context))
@@ -216,7 +220,7 @@ impl Unet {
         let size = self.check(x, timesteps, context, frames)?;
         let work = Work::new(&self.config, self.precision, frames, size);
         let groups = (x.dim(0)? / frames) as f64;
-        let embedding = self.time_embed.forward(timesteps, x.device())?;
+        let embedding = self.time_embed.forward(timesteps, &self.device)?;
         observer.stage("emb", &|| embedding.tensor())?;
         let call = Call {
             embedding: &embedding,
@@ -228,7 +232,7 @@ impl Unet {
             Part::Reusing(deep) => deep.split + 1,
             Part::Whole | Part::Keeping(_) => inputs,
         };
-        let mut h = x.clone();
+        let mut h = x.to_device(&self.device)?;
         let mut kept = Vec::with_capacity(inputs);
         for (i, block) in self.input[..input_count].iter().enumerate() {
             h = block.forward(h, call)?;
@@ -262,7 +266,7 @@ impl Unet {
         let h = self.out_norm.forward(&h, Activation::Silu)?;
         let y = self.out_conv.forward(&h, Activation::Identity)?;
         observer.advance(groups * work.out.computed());
-        Ok((y, deep))
+        Ok((y.to_device(&Device::Cpu)?, deep))
     }
 
     /// Height and width of `x`, if all fits together.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 
 use super::blocks::{MiddleBlock, ResidualBlock, conv3x3, residual_blocks};
 use super::work::{Count, Stages};
@@ -14,6 +14,8 @@ use crate::{Observer, Unobserved, Weights};
 #[derive(Clone, Debug)]
 pub struct Decoder {
     config: Config,
+    /// That of the weights.
+    device: Device,
     tiling: Tiling,
     post_quant_conv: Conv2d,
     conv_in: Conv2d,
@@ -90,6 +92,7 @@ impl Decoder {
         let norm = decoder.pp("conv_norm_out");
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             tiling: Tiling::default(),
             post_quant_conv: Conv2d::new(latents, latents, 1, &weights.pp("post_quant_conv"))?,
             conv_in: conv(latents, first, "conv_in")?,
@@ -159,6 +162,7 @@ impl Decoder {
     fn tile(&self, x: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
         let (_, height, width, _) = x.dims4()?;
         let work = Stages::of_decoding(&self.config, (height, width), Count::Computed);
+        let x = &x.to_device(&self.device)?;
         let x = self.post_quant_conv.forward(x, Activation::Identity)?;
         let x = self.conv_in.forward(&x, Activation::Identity)?;
         observer.advance(work.conv_in);
@@ -173,6 +177,6 @@ impl Decoder {
         let x = self.conv_norm_out.forward(&x, Activation::Silu)?;
         let x = self.conv_out.forward(&x, Activation::Identity)?;
         observer.advance(work.conv_out);
-        Ok(x)
+        x.to_device(&Device::Cpu)
     }
 }

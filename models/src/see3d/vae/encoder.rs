@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 
 use super::blocks::{MiddleBlock, ResidualBlock, conv3x3, residual_blocks};
 use super::work::{Count, Stages};
@@ -14,6 +14,8 @@ use crate::{Observer, Unobserved, Weights};
 #[derive(Clone, Debug)]
 pub struct Encoder {
     config: Config,
+    /// That of the weights.
+    device: Device,
     tiling: Tiling,
     conv_in: Conv2d,
     down_blocks: Vec<DownBlock>,
@@ -93,6 +95,7 @@ impl Encoder {
         let norm = encoder.pp("conv_norm_out");
         Ok(Self {
             config: config.clone(),
+            device: weights.device().clone(),
             tiling: Tiling::default(),
             conv_in: conv(config.in_channels, first, "conv_in")?,
             down_blocks: (0..widths.len()).map(level).collect::<Result<_>>()?,
@@ -177,6 +180,7 @@ impl Encoder {
     fn tile(&self, x: &Tensor, observer: &mut dyn Observer) -> Result<Tensor> {
         let (_, height, width, _) = x.dims4()?;
         let work = Stages::of_encoding(&self.config, (height, width), Count::Computed);
+        let x = &x.to_device(&self.device)?;
         let mut x = self.conv_in.forward(x, Activation::Identity)?;
         observer.advance(work.conv_in);
         for (i, block) in self.down_blocks.iter().enumerate() {
@@ -192,6 +196,6 @@ impl Encoder {
         observer.stage("encoder", &|| Ok(x.clone()))?;
         let x = self.quant_conv.forward(&x, Activation::Identity)?;
         observer.advance(work.conv_out);
-        Ok(x)
+        x.to_device(&Device::Cpu)
     }
 }
