@@ -16,8 +16,11 @@
 //! ```
 
 mod cgroup;
+mod device;
 mod pace;
 
+pub use device::compute_on;
+pub(crate) use device::{device, network_memory};
 pub(crate) use pace::{Pace, Reached};
 
 use serde::Serialize;

@@ -1,7 +1,6 @@
 //! Weights that were found, on their way to becoming networks.
 
-use crate::{Error, error::network_problem};
-use candle_core::Device;
+use crate::{Error, error::network_problem, machine::device};
 use std::fmt::Display;
 use tid3r_models::{ComputeType, Footprint, Weights};
 use tid3r_weights_convert::{Config, Found};
@@ -45,7 +44,7 @@ pub(crate) fn damaged(found: &Found, problem: &dyn Display) -> Error {
 
 /// The weights themselves, mapped, for layers that compute with this type.
 pub(crate) fn open(found: &Found, compute_type: ComputeType) -> Result<Weights, Error> {
-    let weights = Weights::open(&found.weights, &Device::Cpu);
+    let weights = Weights::open(&found.weights, device());
     let weights = weights.map_err(|error| damaged(found, &network_problem(&error)))?;
     Ok(weights.in_type(compute_type))
 }

@@ -5,6 +5,8 @@
 //! What goes where:
 //!
 //! - [`Weights`]: where a network has its tensors from. A file is mapped, not read;
+//! - [`device`]: what networks compute on. Whatever device an input is on, a network moves it to that of its weights,
+//!   and its results to the CPU;
 //! - [`nn`]: layers that several networks are built of. All heavy arithmetic is in here, so that
 //!   a faster kernel goes into one place and no network reads differently because of it;
 //! - one folder for each network ([`mvdust3r`], [`lpips`], those of [`mobilesamv2`] and [`see3d`]), with a `Config` whose fields have the names of
@@ -40,6 +42,7 @@
 //! # Ok::<(), candle_core::Error>(())
 //! ```
 
+pub mod device;
 pub mod lpips;
 pub mod mobilesamv2;
 pub mod mvdust3r;

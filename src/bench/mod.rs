@@ -35,7 +35,7 @@ mod see3d;
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{PROGRAM_BYTES, forget_peak_memory, peak_memory},
+    machine::{PROGRAM_BYTES, device, forget_peak_memory, peak_memory},
     progress::Progress,
     weights,
 };
@@ -45,6 +45,7 @@ use serde::Serialize;
 use std::{str::FromStr, time::Instant};
 use tid3r_models::{
     ComputeType, Footprint, Weights,
+    device::measured_product_flops,
     mobilesamv2::{
         ImageEncoder,
         efficient_vit::{self, EfficientVit},
@@ -251,7 +252,17 @@ pub fn run(
     progress: &dyn Progress,
 ) -> Result<Vec<BenchRow>> {
     let threads = rayon::current_num_threads();
-    let peak = measured_peak_flops(threads).map_err(failed)?;
+    let peak = match device() {
+        Device::Cpu => measured_peak_flops(threads),
+        _ if params.profile => {
+            return Err(Error::request(
+                "kinds of operations are told apart on a CPU only",
+                "leave out --profile or --device",
+            ));
+        }
+        gpu => measured_product_flops(gpu, params.dtype),
+    };
+    let peak = peak.map_err(failed)?;
     let source = Source::new(network, found, params.dtype, progress)?;
     let trials = match source.config.clone() {
         Config::MvDust3r(config) => mvdust3r::trials(params, &config, &source)?,
@@ -349,11 +360,11 @@ impl<'a> Source<'a> {
     fn weights(&self) -> Result<Weights> {
         const SEED: u64 = 42;
         let weights = match self.found {
-            Some(found) => Weights::open(&found.weights, &Device::Cpu).map_err(failed)?,
+            Some(found) => Weights::open(&found.weights, device()).map_err(failed)?,
             None => {
                 self.progress.note("making up weights of full size");
                 let make = |name: &str, shape: &[usize]| synth::tensor(name, shape, SEED);
-                Weights::from_fn(make, &Device::Cpu)
+                Weights::from_fn(make, device())
             }
         };
         Ok(weights.in_type(self.dtype))

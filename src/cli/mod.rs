@@ -26,7 +26,8 @@ use anyhow::{Context, Result};
 use clap::{ArgAction, Args, Parser, Subcommand};
 use std::path::PathBuf;
 use terminal::Terminal;
-use tid3r_models::ComputeType;
+use tid3r::machine::compute_on;
+use tid3r_models::{ComputeType, device::Place};
 
 /// Turns a few photos of a room into a 3D point cloud of separate, named objects, lets you remove,
 /// move or recolour them, and renders pictures of the edited room.
@@ -50,7 +51,7 @@ const START: &str = "Start with `tid3r demo`, `tid3r run PHOTOS -o SCENE`, or `t
 const ENVIRONMENT: &str = "Environment:\n  \
     TID3R_MODELS       Folder of all weights, with a folder in it for each network\n  \
     HF_HUB_CACHE       Hugging Face's cache, where weights are looked for, too\n  \
-    TID3R_CPU          Kernels to use instead of the best: avx512bf16, avx512, avx2 or portable\n  \
+    TID3R_CPU          Kernels to use instead of the best: avx512bf16, avx512, avx2, portable,\n                     or candle: none of them, to compare with\n  \
     RAYON_NUM_THREADS  Worker threads, where --threads is not given\n  \
     RUST_LOG           What is logged, as in tid3r=debug; overrides -q and -v\n\n\
     Exit codes: 0 done, 1 failed, 2 wrong usage.";
@@ -62,6 +63,15 @@ struct Global {
     #[arg(long, global = true, value_name = "N", help_heading = "Global options",
           value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// Where networks compute: cpu; or cuda, or cuda:1 and so on, in a build for GPUs of NVIDIA
+    #[arg(
+        long,
+        global = true,
+        value_name = "DEVICE",
+        help_heading = "Global options",
+        default_value_t
+    )]
+    device: Place,
     /// Say less: errors only
     #[arg(
         short,
@@ -107,6 +117,9 @@ impl Cli {
                 .num_threads(threads.into())
                 .build_global()
                 .context("cannot start the worker threads")?;
+        }
+        if self.global.device != Place::Cpu {
+            compute_on(self.global.device)?;
         }
         let terminal = Terminal::new(self.global.quiet);
         match self.verb {

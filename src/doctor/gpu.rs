@@ -3,35 +3,26 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-
-/// Where systems and containers have the driver's library, besides the folders of `LD_LIBRARY_PATH`.
-const FOLDERS: [&str; 6] = [
-    "/usr/lib/x86_64-linux-gnu",
-    "/usr/lib/aarch64-linux-gnu",
-    "/usr/lib64",
-    "/usr/lib",
-    "/usr/lib/wsl/lib",
-    "/usr/local/nvidia/lib64",
-];
-const LIBRARY: &str = "libcuda.so.1";
+use tid3r_models::device::missing_for_cuda;
 
 /// GPUs, their driver, and whether this build has any use for them.
 pub(super) fn finding() -> Finding {
-    let paths = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
-    let paths = std::env::split_paths(&paths).filter(|path| path.is_absolute());
-    let mut folders = paths.chain(FOLDERS.map(PathBuf::from));
-    let library = folders.find(|folder| folder.join(LIBRARY).exists());
-    finding_of(Path::new("/proc/driver/nvidia"), library.is_some())
+    finding_of(
+        Path::new("/proc/driver/nvidia"),
+        cfg!(feature = "cuda"),
+        missing_for_cuda(),
+    )
 }
 
-fn finding_of(driver: &Path, has_library: bool) -> Finding {
+/// What the `driver` says, and what the build with CUDA, if it is one, misses.
+fn finding_of(driver: &Path, has_cuda: bool, missing: Option<String>) -> Finding {
     let finding = |state, text: String| Finding::new(Part::Machine, "gpu", state, text);
     let version = fs::read_to_string(driver.join("version"));
     let version = version.ok().and_then(|text| version_in(&text));
     let names = names_in(&driver.join("gpus"));
-    let unused = "this build computes on the processor";
-    if version.is_none() && names.is_empty() {
-        return finding(State::Ok, format!("none of NVIDIA's found; {unused}"));
+    if version.is_none() && names.is_empty() && (missing.is_some() || !has_cuda) {
+        let missing = missing.unwrap_or_default();
+        return finding(State::Ok, format!("none of NVIDIA's found; {missing}"));
     }
     let mut text = match &names[..] {
         [] => "GPUs of NVIDIA".to_string(),
@@ -40,10 +31,13 @@ fn finding_of(driver: &Path, has_library: bool) -> Finding {
     if let Some(version) = version {
         text += &format!(", driver {version}");
     }
-    if !has_library {
-        text += &format!(", without {LIBRARY}");
+    match missing {
+        None => finding(State::Ok, format!("{text}: used with --device cuda")),
+        Some(missing) if has_cuda => finding(State::Missing, format!("{text}: not used, {missing}"))
+            .fix("install NVIDIA's driver, and cuBLAS and cuRAND of CUDA 13; LD_LIBRARY_PATH names folders of libraries"),
+        Some(missing) => finding(State::Slow, format!("{text}: not used, {missing}"))
+            .fix("use the build for CUDA (`scripts/cuda` in the sources)"),
     }
-    finding(State::Slow, format!("{text}: not used, {unused}"))
 }
 
 /// The driver's version, of `NVRM version: NVIDIA UNIX .. Module  550.54.15  ..`.
@@ -78,7 +72,8 @@ mod tests {
     #[test]
     fn a_driver_and_its_gpus_are_named() {
         let folder = tempfile::tempdir().unwrap();
-        let nothing = finding_of(folder.path(), false);
+        let lacks = || Some("not found: libcuda".to_string());
+        let nothing = finding_of(folder.path(), true, lacks());
         assert_eq!(nothing.state, State::Ok);
         assert!(nothing.text.contains("none"), "{nothing:?}");
         let version = "NVRM version: NVIDIA UNIX Open Kernel Module for x86_64  570.86.15  Release Build\n\
@@ -87,13 +82,15 @@ mod tests {
         let gpu = folder.path().join("gpus/0000:07:00.0");
         fs::create_dir_all(&gpu).unwrap();
         fs::write(gpu.join("information"), "Model: \t\t NVIDIA H100\nIRQ: 1\n").unwrap();
-        let found = finding_of(folder.path(), false);
+        let found = finding_of(folder.path(), true, None);
+        assert_eq!(found.state, State::Ok);
+        let text = "NVIDIA H100, driver 570.86.15: used with --device cuda";
+        assert_eq!(found.text, text);
+        let found = finding_of(folder.path(), true, lacks());
+        assert_eq!(found.state, State::Missing);
+        assert!(found.text.ends_with("not used, not found: libcuda"));
+        let found = finding_of(folder.path(), false, lacks());
         assert_eq!(found.state, State::Slow);
-        assert!(
-            found
-                .text
-                .starts_with("NVIDIA H100, driver 570.86.15, without libcuda.so.1: not used"),
-            "{found:?}"
-        );
+        assert!(found.fix.is_some());
     }
 }

@@ -4,7 +4,7 @@ use super::image::check_same_size;
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{PROGRAM_BYTES, available_memory, readable_bytes},
+    machine::{PROGRAM_BYTES, network_memory, readable_bytes},
     weights::{are_missing, damaged, network},
 };
 use candle_core::{Device, Tensor};
@@ -152,7 +152,7 @@ impl Loaded {
         let size = (height as usize, width as usize);
         let memory = Memory::new(self.network.config(), size, Footprint::default());
         let needed = memory.total() as u64 + PROGRAM_BYTES;
-        if let Some(available) = available_memory().filter(|&available| available < needed) {
+        if let Some(available) = network_memory().filter(|&available| available < needed) {
             return Err(Error::request(
                 format!(
                     "{} takes {} of memory to compare pictures of {width}x{height} pixels, and there may be {}",

@@ -1,7 +1,8 @@
 //! How long networks take.
 
+use super::device;
 use candle_core::Result;
-use tid3r_models::{ComputeType, nn::cpu::measured_peak_flops};
+use tid3r_models::{ComputeType, device::measured_product_flops, nn::cpu::measured_peak_flops};
 
 /// The shares of a processor's best in f32 that a network reaches, by measurement.
 #[derive(Clone, Copy, Debug)]
@@ -12,12 +13,24 @@ pub(crate) struct Reached {
     pub(crate) bf16: f64,
 }
 
+/// Of a GPU's best with large products, what networks reach. Nobody has measured it yet.
+const REACHED_ON_GPUS: f64 = 0.25;
+
 /// What this machine does in a second.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pace {
-    /// Operations of f32, at best.
+    /// Operations, at best: of f32 on a CPU, of what networks compute in on a GPU.
     peak: f64,
-    in_pairs: bool,
+    kind: Kind,
+}
+
+/// Whose pace it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    Cpu,
+    /// Of a CPU that multiplies pairs of bf16.
+    CpuInPairs,
+    Gpu,
 }
 
 impl Pace {
@@ -26,17 +39,27 @@ impl Pace {
     /// # Errors
     /// When the machine cannot be measured.
     pub(crate) fn measured(dtype: ComputeType) -> Result<Self> {
+        if !device().is_cpu() {
+            return Ok(Self {
+                peak: measured_product_flops(device(), dtype)?,
+                kind: Kind::Gpu,
+            });
+        }
         Ok(Self {
             peak: measured_peak_flops(rayon::current_num_threads())?,
-            in_pairs: dtype.is_in_pairs_here()?,
+            kind: match dtype.is_in_pairs_here()? {
+                true => Kind::CpuInPairs,
+                false => Kind::Cpu,
+            },
         })
     }
 
     /// Seconds that so many multiply-adds of a network take, about.
     pub(crate) fn seconds(&self, multiply_adds: f64, reached: Reached) -> f64 {
-        let share = match self.in_pairs {
-            true => reached.bf16,
-            false => reached.f32,
+        let share = match self.kind {
+            Kind::Cpu => reached.f32,
+            Kind::CpuInPairs => reached.bf16,
+            Kind::Gpu => REACHED_ON_GPUS,
         };
         2.0 * multiply_adds / (share * self.peak)
     }
@@ -52,12 +75,11 @@ mod tests {
             f32: 0.5,
             bf16: 0.8,
         };
-        let pace = |in_pairs| Pace {
-            peak: 1e9,
-            in_pairs,
-        };
-        assert_eq!(pace(false).seconds(1e9, reached), 4.0);
-        assert_eq!(pace(true).seconds(1e9, reached), 2.5);
-        assert!(!Pace::measured(ComputeType::F32).unwrap().in_pairs);
+        let pace = |kind| Pace { peak: 1e9, kind };
+        assert_eq!(pace(Kind::Cpu).seconds(1e9, reached), 4.0);
+        assert_eq!(pace(Kind::CpuInPairs).seconds(1e9, reached), 2.5);
+        assert_eq!(pace(Kind::Gpu).seconds(1e9, reached), 8.0);
+        let here = Pace::measured(ComputeType::F32).unwrap();
+        assert_eq!(here.kind, Kind::Cpu);
     }
 }

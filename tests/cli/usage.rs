@@ -194,3 +194,13 @@ fn quiet_silences_warnings() {
     assert!(warnings.contains("using 3 of 7 frames"), "{warnings}");
     place.run("import recording -o other --max-frames 3 --quiet");
 }
+
+#[test]
+fn a_gpu_that_is_not_there_is_an_error_that_says_so() {
+    let place = Place::new();
+    let problem = place.fail("bench --model lpips-alex --device cuda");
+    assert!(problem.contains("cuda"), "{problem}");
+    assert!(problem.contains("tid3r doctor"), "{problem}");
+    let problem = place.misuse("bench --model lpips-alex --device gpu");
+    assert!(problem.contains("cuda:1"), "{problem}");
+}

@@ -1,7 +1,7 @@
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{PROGRAM_BYTES, Pace, Reached, available_memory, readable_bytes, readable_seconds},
+    machine::{PROGRAM_BYTES, Pace, Reached, network_memory, readable_bytes, readable_seconds},
 };
 use std::fmt;
 use tid3r_models::{
@@ -86,7 +86,7 @@ impl RunEstimate {
     /// # Errors
     /// When it does not fit; the message says what would.
     pub fn rows_within(&self, limit: Option<u64>) -> Result<usize> {
-        let Some(limit) = limit.or_else(available_memory) else {
+        let Some(limit) = limit.or_else(network_memory) else {
             return Ok(ROWS[0]);
         };
         for rows in ROWS {

@@ -8,9 +8,7 @@ use super::{
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{
-        Expense, Pace, Reached, available_memory, counted, readable_bytes, readable_seconds,
-    },
+    machine::{Expense, Pace, Reached, counted, network_memory, readable_bytes, readable_seconds},
 };
 use serde::{Deserialize, Serialize};
 use tid3r_models::see3d::{
@@ -92,7 +90,7 @@ impl Job<'_> {
     /// # Errors
     /// When none does; the message says what would.
     pub(super) fn plan(&self, limit: Option<u64>) -> Result<Plan> {
-        let limit = limit.or_else(available_memory).unwrap_or(u64::MAX);
+        let limit = limit.or_else(network_memory).unwrap_or(u64::MAX);
         let groups = match self.settings.group {
             Some(group) => vec![group as usize],
             None => GROUPS.to_vec(),
@@ -111,7 +109,7 @@ impl Job<'_> {
 
     /// Refuses a plan that was made before, if it does not fit now.
     pub(super) fn check(&self, plan: &Plan, limit: Option<u64>) -> Result<()> {
-        let limit = limit.or_else(available_memory).unwrap_or(u64::MAX);
+        let limit = limit.or_else(network_memory).unwrap_or(u64::MAX);
         let bytes = self.bytes(plan)?;
         if bytes <= limit {
             return Ok(());

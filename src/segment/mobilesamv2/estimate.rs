@@ -3,7 +3,7 @@ use crate::{
     Error, Result,
     error::network_problem,
     machine::{
-        Expense, PROGRAM_BYTES, Pace, Reached, available_memory, readable_bytes, readable_seconds,
+        Expense, PROGRAM_BYTES, Pace, Reached, network_memory, readable_bytes, readable_seconds,
     },
 };
 use tid3r_models::{
@@ -74,7 +74,7 @@ impl PictureEstimate {
 
     /// Warns if this is more memory than there may be.
     pub(super) fn compare_with_machine(&self) {
-        if let Some(available) = available_memory().filter(|&available| available < self.bytes) {
+        if let Some(available) = network_memory().filter(|&available| available < self.bytes) {
             tracing::warn!(
                 "cutting photos takes about {} of memory, and there may be {}; a smaller --detector-size \
                  or another --encoder takes less",
