@@ -13,10 +13,14 @@ pub fn keep_freed_memory() {
         const LARGEST: libc::c_int = 1 << 30;
         /// Freed memory at the end of the heap that is kept.
         const KEPT: libc::c_int = 1 << 30;
+        // Threads that come and go would each keep their own: one heap for each core is enough.
+        let heaps = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+        let heaps = libc::c_int::try_from(heaps).unwrap_or(libc::c_int::MAX);
         // SAFETY: changes when memory is returned to the system, and nothing else.
         unsafe {
             libc::mallopt(libc::M_MMAP_THRESHOLD, LARGEST);
             libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT);
+            libc::mallopt(libc::M_ARENA_MAX, heaps);
         }
     }
 }
