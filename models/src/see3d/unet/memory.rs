@@ -21,8 +21,6 @@ impl Memory {
     const FLOAT: usize = size_of::<f32>();
     /// What kernels hold while they run.
     const SCRATCH: usize = 32 << 20;
-    /// Maps of the first level's size in freed memory that is too small a piece for others, by measurement.
-    const FREED: usize = 4;
 
     /// The memory of calls for `groups` of `frames` frames of `height` x `width` latents at once, with weights of
     /// this footprint.
@@ -53,12 +51,17 @@ impl Memory {
                 _ => 0,
             };
         }
+        // Maps of the first level's size in freed memory that is too small a piece for others, by measurement.
+        let freed = match footprint {
+            Footprint::Mapped(2) | Footprint::Owned(2) => 2,
+            Footprint::Mapped(_) | Footprint::Owned(_) => 4,
+        };
         let batch = groups * frames;
         let map =
             |level: usize, channels: usize| batch * (height >> level) * (width >> level) * channels;
         Ok(Self {
             weights: footprint.bytes(weights) + laid_out * Self::FLOAT,
-            working: (peak(config, batch, &map) + Self::FREED * map(0, config.model_channels))
+            working: (peak(config, batch, &map) + freed * map(0, config.model_channels))
                 * Self::FLOAT
                 + Self::SCRATCH,
         })
