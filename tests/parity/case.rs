@@ -1,16 +1,17 @@
 //! One recorded case.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use candle_core::{Device, Tensor, safetensors};
 use serde::{Deserialize, de::DeserializeOwned};
 use serde_json::Value;
 use std::{
     collections::{BTreeMap, HashMap},
-    fs,
+    env, fs,
     path::{Path, PathBuf},
+    sync::OnceLock,
 };
 use tempfile::TempDir;
-use tid3r_models::{ComputeType, Weights};
+use tid3r_models::{ComputeType, Weights, device::Place};
 use tid3r_weights_convert::{
     Checkpoint, Config, ConvertOptions, Found, Repository, WEIGHTS_FILE, convert, network_of, synth,
 };
@@ -21,6 +22,19 @@ const IN_BF16: f64 = 4e-2;
 /// The same for detectors: the small made-up one makes errors of its first layers thirty times as large. The
 /// one of full size stays below 1e-2.
 const IN_BF16_DETECTOR: f64 = 0.15;
+
+/// Where weights and inputs are: what `PARITY_DEVICE` says, as in `cuda`, or else the CPU.
+pub(crate) fn device() -> Result<&'static Device> {
+    static DEVICE: OnceLock<Result<Device, String>> = OnceLock::new();
+    let opened = DEVICE.get_or_init(|| {
+        let place: Place = match env::var("PARITY_DEVICE") {
+            Ok(name) => name.parse()?,
+            Err(_) => Place::Cpu,
+        };
+        place.open().map_err(|error| error.to_string())
+    });
+    opened.as_ref().map_err(|problem| anyhow!("{problem}"))
+}
 
 /// One recorded case.
 pub(crate) struct Case {
@@ -82,7 +96,7 @@ fn synthetic(config: &Value, seed: u64) -> Result<Weights> {
         }
         values
     };
-    Ok(Weights::from_fn(values, &Device::Cpu))
+    Ok(Weights::from_fn(values, device()?))
 }
 
 /// Converted networks, each in a folder of its name.
@@ -99,10 +113,7 @@ impl Converted {
     /// The configuration and the weights of the network called `name`.
     pub(crate) fn network(&self, name: &str) -> Result<(Config, Weights)> {
         let found = Found::at(&self.folder().join(name))?;
-        Ok((
-            found.file.config,
-            Weights::open(&found.weights, &Device::Cpu)?,
-        ))
+        Ok((found.file.config, Weights::open(&found.weights, device()?)?))
     }
 }
 
@@ -131,13 +142,15 @@ impl Case {
     /// The case in `folder`.
     pub(crate) fn load(folder: &Path) -> Result<Self> {
         let read = |name: &'static str| fs::read_to_string(folder.join(name)).context(name);
-        let tensors =
-            |name: &'static str| safetensors::load(folder.join(name), &Device::Cpu).context(name);
+        let tensors = |name: &'static str, device: &Device| {
+            safetensors::load(folder.join(name), device).context(name)
+        };
+        let expected = tensors("expected.safetensors", &Device::Cpu)?;
         Ok(Self {
             folder: folder.to_path_buf(),
             file: serde_json::from_str(&read("case.json")?).context("case.json")?,
-            inputs: tensors("inputs.safetensors")?,
-            expected: tensors("expected.safetensors")?.into_iter().collect(),
+            inputs: tensors("inputs.safetensors", device()?)?,
+            expected: expected.into_iter().collect(),
             compute_type: ComputeType::F32,
         })
     }
@@ -191,10 +204,7 @@ impl Case {
                 let options = ConvertOptions::default();
                 convert(&source, folder.path(), &options, &mut |_| ())?;
                 // The mapping outlives the file's name.
-                Ok(Weights::open(
-                    &folder.path().join(WEIGHTS_FILE),
-                    &Device::Cpu,
-                )?)
+                Ok(Weights::open(&folder.path().join(WEIGHTS_FILE), device()?)?)
             }
         }
     }
@@ -239,7 +249,7 @@ impl Case {
             });
         }
         let make = move |name: &str, _: &[usize]| values.get(name).cloned().unwrap_or_default();
-        Ok(Weights::from_fn(make, &Device::Cpu))
+        Ok(Weights::from_fn(make, device()?))
     }
 
     /// Synthetic weights of the network whose configuration is `config.<part>`: of the same seed as all

@@ -1,8 +1,12 @@
 //! Layers of transformers.
 
-use crate::{case::Case, comparison::Comparison, mvdust3r::by_head};
+use crate::{
+    case::{Case, device},
+    comparison::Comparison,
+    mvdust3r::by_head,
+};
 use anyhow::Result;
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Tensor};
 use serde::Deserialize;
 use tid3r_models::{
     mvdust3r::{ExpMode, postprocess},
@@ -25,7 +29,7 @@ struct Block {
 impl Block {
     fn rotation(&self, positions: &[[u32; 2]]) -> Result<Rotation> {
         let rope = Rope2d::new(self.dim / self.num_heads, self.freq)?;
-        Ok(rope.rotation(positions, &Device::Cpu)?)
+        Ok(rope.rotation(positions, device()?)?)
     }
 }
 
@@ -81,7 +85,7 @@ pub(crate) fn rope(case: &Case, comparison: &mut Comparison) -> Result<()> {
         let rope = Rope2d::new(head_dim, freq)?;
         let rotations = positions(case, &format!("positions{suffix}"))?
             .iter()
-            .map(|positions| Ok(rope.rotation(positions, &Device::Cpu)?))
+            .map(|positions| Ok(rope.rotation(positions, device()?)?))
             .collect::<Result<Vec<_>>>()?;
         let [out] = item_by_item(&rotations, |i, rotation| {
             let turned = rotation.apply(&item(&flat, i)?, heads)?;

@@ -1,6 +1,10 @@
 //! LPIPS.
 
-use crate::{case::Case, comparison::Comparison, see3d::channels_last};
+use crate::{
+    case::{Case, device},
+    comparison::Comparison,
+    see3d::channels_last,
+};
 use anyhow::Result;
 use candle_core::{Device, Tensor};
 use tid3r_models::{
@@ -15,7 +19,7 @@ pub(crate) fn distances(case: &Case, comparison: &mut Comparison) -> Result<()> 
     let network = weights::Config::Lpips(config.clone()).network();
     let seed = case.seed()?;
     let make = move |name: &str, shape: &[usize]| network.synthetic(name, shape, seed);
-    let network = Lpips::new(&config, &Weights::from_fn(make, &Device::Cpu))?;
+    let network = Lpips::new(&config, &Weights::from_fn(make, device()?))?;
     let picture = |name| channels_last(case.input(name)?);
     let (first, second) = (picture("first")?, picture("second")?);
     let found = network.forward_observed(&first, &second, &mut Features(comparison))?;

@@ -4,7 +4,8 @@
 //! `inputs.safetensors` and `expected.safetensors`. Every case below `tests/fixtures/cases` is run,
 //! and every case below each folder in the environment variable `PARITY_CASES` (separated like
 //! `PATH`). A case of a module that is not listed in [`runner`] fails. `--nocapture` shows the figures of
-//! all tensors. Networks with synthetic weights are computed in bf16, too, to a tolerance of its own.
+//! all tensors. Networks with synthetic weights are computed in bf16, too, to a tolerance of its own. `PARITY_DEVICE=cuda`
+//! has networks compute on a GPU, in a build for it.
 
 #![expect(clippy::print_stdout, reason = "figures are for whoever asks for them")]
 
@@ -55,7 +56,9 @@ fn runner(model: &str) -> Option<Runner> {
 
 fn main() -> ExitCode {
     let arguments = Arguments::from_args();
-    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/cases");
+    let root = env::var_os("CARGO_MANIFEST_DIR");
+    let root = root.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
+    let fixtures = Path::new(&root).join("tests/fixtures/cases");
     let mut trials = trials_below(&fixtures, arguments.nocapture);
     if let Some(folders) = env::var_os("PARITY_CASES") {
         for folder in env::split_paths(&folders).filter(|folder| !folder.as_os_str().is_empty()) {

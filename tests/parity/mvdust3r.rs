@@ -1,8 +1,11 @@
 //! MV-DUSt3R and MV-DUSt3R+: whole networks, and their heads.
 
-use crate::{case::Case, comparison::Comparison};
+use crate::{
+    case::{Case, device},
+    comparison::Comparison,
+};
 use anyhow::{Context, Result, ensure};
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use tid3r_models::{
@@ -186,7 +189,7 @@ fn by_slot(
 
 fn rotation(channels: usize, heads: usize, base: f32, grid: PatchGrid) -> Result<Rotation> {
     let rope = Rope2d::new(channels / heads, base)?;
-    Ok(rope.rotation(&grid.positions(), &Device::Cpu)?)
+    Ok(rope.rotation(&grid.positions(), device()?)?)
 }
 
 /// (batch, tokens, channels) to (batch, heads, tokens, head_dim).
@@ -283,7 +286,7 @@ fn subsampled(x: &Tensor, dims: &[usize], step: usize) -> Result<Tensor> {
         let kept: Vec<u32> = (0..x.dim(dim)? as u32).step_by(step).collect();
         x = x
             .contiguous()?
-            .index_select(&Tensor::new(kept, &Device::Cpu)?, dim)?;
+            .index_select(&Tensor::new(kept, x.device())?, dim)?;
     }
     Ok(x)
 }

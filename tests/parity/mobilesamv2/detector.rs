@@ -2,7 +2,7 @@
 
 use crate::{case::Case, comparison::Comparison};
 use anyhow::Result;
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Tensor};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use tid3r_models::{
@@ -135,7 +135,7 @@ fn compare(
     comparison: &mut Comparison,
 ) -> Result<()> {
     let detector = Detector::new(config, weights)?;
-    let blue_first = Tensor::new(&[2_u32, 1, 0], &Device::Cpu)?;
+    let blue_first = Tensor::new(&[2_u32, 1, 0], case.input("image")?.device())?;
     let image = (case.input("image")?.to_dtype(DType::F32)? / 255.0)?
         .index_select(&blue_first, 2)?
         .unsqueeze(0)?;

@@ -2,7 +2,7 @@
 
 use crate::case::Case;
 use anyhow::Result;
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Tensor};
 use serde::Deserialize;
 
 /// SAM's normalisation, of values 0 to 255.
@@ -26,7 +26,7 @@ pub(super) fn network_input(case: &Case) -> Result<Tensor> {
     let (height, width, _) = image.dims3()?;
     let times = config.nearest_upsample;
     let (wide, tall) = (width * times, height * times);
-    let constant = |values: [f32; 3]| Tensor::new(&values, &Device::Cpu);
+    let constant = |values: [f32; 3]| Tensor::new(&values, image.device());
     Ok(image
         .reshape((height, 1, width, 1, 3))?
         .broadcast_as((height, times, width, times, 3))?

@@ -1,6 +1,9 @@
 //! What is around the networks: pictures in, boxes, masks.
 
-use crate::{case::Case, comparison::Comparison};
+use crate::{
+    case::{Case, device},
+    comparison::Comparison,
+};
 use anyhow::{Context, Result, ensure};
 use candle_core::{DType, Device, Tensor, WithDType};
 use image::RgbImage;
@@ -278,7 +281,7 @@ fn decoder_weights(case: &Case) -> Result<Weights> {
         let values = |part: Parameter| part.tensor()?.flatten_all()?.to_vec1();
         part.and_then(values).unwrap_or_default()
     };
-    Ok(Weights::from_fn(values, &Device::Cpu))
+    Ok(Weights::from_fn(values, device()?))
 }
 
 /// What comes of a picture, step by step.
