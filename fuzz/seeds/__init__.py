@@ -25,6 +25,13 @@ def headed(files):
     return {name.replace("/", "_"): name.encode() + b"\n" + data for name, data in files.items()}
 
 
+def beside_weights():
+    """What is published beside See3D's weights, in small."""
+    root = FIXTURES / "cases/see3d/tiny_repo"
+    paths = (path for ending in ("json", "txt") for path in sorted(root.rglob(f"*.{ending}")))
+    return {str(path.relative_to(root)): path.read_bytes() for path in paths}
+
+
 def make(folder):
     """Writes all anew into `folder`: `TARGET/*` and `TARGET.dict`, and `recordings/LAYOUT`, of which targets change one file
     at a time. Gives the names of the targets."""
@@ -33,8 +40,8 @@ def make(folder):
         "ply": clouds(), "colmap": colmap_models(), "cameras": camera_files(), "sens": sens_files(), "recording": headed(dict(few_of(whole))),
         "npz": arrays(), "photo": photos(), "exif": {"little": exif("<"), "big": exif(">")}, "heic": heic, "zip": zips(),
         "safetensors": {**tensor_files(), **fixtures("cases/*/*/inputs.safetensors")}, "pickle": pickles(), "checkpoint": checkpoints(),
-        # The target adds the configurations of all networks.
-        "config": {"none": b"{}"},
+        # The targets add all networks.
+        "config": {"none": b"{}"}, "network": {"none": b"a 1\n"}, "repository": headed(beside_weights()),
         "scene": scene_files(), "list": lists(), "api": requests(), "uploads": uploads(heic),
     }
     write = {f"{target}/{name}": data for target, files in targets.items() for name, data in files.items()}
