@@ -11,7 +11,7 @@ use tid3r_fuzz::{heard, place, put};
 
 fuzz_target!(|data: &[u8]| {
     let path = put("photos.zip", data);
-    let Some(sources) = heard(PhotoSources::find(&[path])) else {
+    let Some(sources) = heard(PhotoSources::find(std::slice::from_ref(&path))) else {
         return;
     };
     // What is no ZIP file may look like a video, which is for FFmpeg.
@@ -23,7 +23,8 @@ fuzz_target!(|data: &[u8]| {
     let folder = place().join("unpacked");
     if let Some(photos) = heard(sources.photos(&folder, &params, &Silent)) {
         for photo in photos {
-            assert!(photo.path.starts_with(&folder), "{}", photo.path.display());
+            // It may be a photo itself.
+            assert!(photo.path == path || photo.path.starts_with(&folder));
         }
     }
     let _ = fs::remove_dir_all(folder);
