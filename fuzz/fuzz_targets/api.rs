@@ -1,5 +1,5 @@
 //! What the page about a scene may ask for: requests as `METHOD PATH` and a body from the next line on, with lines of
-//! two dashes in between.
+//! two dashes in between. `@` in a path stands for the scene's version. `FILE PATH` puts a file into the scene meanwhile.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -21,13 +21,16 @@ const PATIENCE: Duration = Duration::from_secs(15);
 /// A picture of this width is soon rendered.
 const WIDTH: u64 = 24;
 const MOST_REQUESTS: usize = 8;
+const REQUEST: &str = "gallery/0001/request.json";
+/// What another process may change in a scene.
+const FILES: [&str; 3] = ["scene.json", "instances.json", REQUEST];
 
 struct Page {
     client: Client,
     scene: PathBuf,
-    /// The first rendering, as it was before anybody asked for anything.
-    rendered: PathBuf,
-    /// What `@` in a path stands for: the scene's version, without edits.
+    /// The scene as it was before anybody asked for anything, with a rendering.
+    pristine: PathBuf,
+    /// Without edits.
     version: String,
 }
 
@@ -36,7 +39,7 @@ static PAGE: LazyLock<Mutex<Page>> = LazyLock::new(|| {
     make_scene(&scene).expect("a scene");
     let mut page = Page {
         client: Client::of(scene.clone()),
-        rendered: place().join("rendered"),
+        pristine: place().join("pristine"),
         version: String::new(),
         scene,
     };
@@ -51,30 +54,39 @@ static PAGE: LazyLock<Mutex<Page>> = LazyLock::new(|| {
         assert!(start.elapsed() < PATIENCE, "a rendering does not end");
         std::thread::sleep(Duration::from_millis(5));
     }
-    copy_all(&page.scene.join("gallery/0001"), &page.rendered);
+    copy_all(&page.scene, &page.pristine);
     Mutex::new(page)
 });
 
 fuzz_target!(|data: &[u8]| {
     let mut page: MutexGuard<Page> = PAGE.lock().unwrap_or_else(PoisonError::into_inner);
-    let (mut asked, mut has_gallery_changed) = (false, false);
+    let (mut asked, mut has_gallery_changed, mut has_scene_changed) = (false, false, false);
     for part in parts(data).into_iter().take(MOST_REQUESTS) {
         let Some((method, path, body)) = requested(part) else {
             continue;
         };
         asked = true;
+        if method == "FILE" {
+            has_scene_changed |= path != REQUEST;
+            has_gallery_changed |= path == REQUEST;
+            page.put(path, body);
+            continue;
+        }
         let path = &*path.replace('@', &page.version);
         let changes = method == "POST" && path.starts_with("/api/jobs");
         let changes = changes || (method != "GET" && path.starts_with("/api/gallery"));
         has_gallery_changed |= changes;
         if method == "POST" && path == "/api/jobs" {
             // Of large renderings, `/api/estimate` is asked.
-            if let Some(body) = small(body) {
-                page.ask(method, path, &body);
+            if let Some(request) = serde_json::from_slice(body).ok().and_then(small) {
+                page.ask(method, path, request.to_string().as_bytes());
             }
         } else {
             page.ask(method, path, body);
         }
+    }
+    if has_scene_changed {
+        page.restore_files();
     }
     if has_gallery_changed {
         page.restore_gallery();
@@ -90,6 +102,31 @@ impl Page {
         let said = String::from_utf8_lossy(&answer.body);
         assert_ne!(answer.status, 500, "{method} {path}: {said}");
         Some(answer)
+    }
+
+    /// Puts a file into the scene, if it may be there.
+    fn put(&self, path: &str, content: &[u8]) {
+        let content = if path == REQUEST {
+            let Ok(mut entry) = serde_json::from_slice::<Value>(content) else {
+                return;
+            };
+            let Some(request) = entry.get("request").cloned().and_then(small) else {
+                return;
+            };
+            entry["request"] = request;
+            entry.to_string().into_bytes()
+        } else {
+            content.to_vec()
+        };
+        if FILES.contains(&path) && self.scene.join(path).exists() {
+            fs::write(self.scene.join(path), content).expect("room for a file");
+        }
+    }
+
+    fn restore_files(&self) {
+        for name in FILES.iter().filter(|&&name| name != REQUEST) {
+            fs::copy(self.pristine.join(name), self.scene.join(name)).expect("room for a file");
+        }
     }
 
     fn restore_edits(&mut self) {
@@ -115,13 +152,12 @@ impl Page {
                 std::thread::sleep(Duration::from_millis(2));
             }
         }
-        copy_all(&self.rendered, &gallery.join("0001"));
+        copy_all(&self.pristine.join("gallery"), &gallery);
     }
 }
 
 /// A request for a rendering as a small one; nothing for one of many views.
-fn small(body: &[u8]) -> Option<Vec<u8>> {
-    let mut request: Value = serde_json::from_slice(body).ok()?;
+fn small(mut request: Value) -> Option<Value> {
     let cameras = request.get("cameras")?.as_object()?;
     let few = cameras.iter().all(|(kind, cameras)| match kind.as_str() {
         "view" => true,
@@ -134,9 +170,7 @@ fn small(body: &[u8]) -> Option<Vec<u8>> {
     }
     let width = request.get("width").and_then(Value::as_u64);
     if width.is_none_or(|width| width > WIDTH) {
-        request
-            .as_object_mut()?
-            .insert("width".into(), WIDTH.into());
+        request["width"] = WIDTH.into();
     }
-    serde_json::to_vec(&request).ok()
+    Some(request)
 }

@@ -15,7 +15,7 @@ WORDS = {
     "config": "network provenance weights_sha256 null true false 0 1 -1 4294967296 18446744073709551615 1e300 [] {}",
     "scene": "scene.json edits.json instances.json frames held_out stages version generator floor_to_world camera transform photo_size crop_origin crop_size "
              "frame_size edit instance instances placement by to turn_degrees scale parts merge split move duplicate 4294967295 1e308 -1 null",
-    "api": "GET POST DELETE HEAD /api/edits /api/estimate /api/jobs /api/gallery/ /continue /cancel /preview/ action instance instances placement by to "
+    "api": "GET POST DELETE HEAD FILE /api/edits /api/estimate /api/jobs /api/gallery/ /continue /cancel /preview/ action instance instances placement by to "
            "turn_degrees scale undo redo split merge cameras view photos path orbit keys between views completion fill none see3d width 4294967295 1e308 -1 null",
     "uploads": "GET POST DELETE /api/uploads/ /api/start /thumbnail segmenter graph mobilesamv2 dtype bf16 f32",
     "list": "[defaults] [[scene]] name recording photos frames test_frames layout inputs tests size measure depth_scale intrinsics clouds points cameras",

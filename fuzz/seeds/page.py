@@ -68,6 +68,11 @@ def requests():
     some |= {f"get{k}": f"GET /{path}".encode() for k, path in enumerate(paths)}
     some["several"] = between.join([edit[6], edit[7], edit[10], edit[4], edit[5]])
     some["parts"] = between.join([edit[13], edit[1], edit[9]])
+    entry = {"title": "a", "request": {"cameras": views[0], "completion": "fill", "width": 24}, "completion": "b",
+             "views": [{"name": "view", "photo": 0}]}
+    some["entry"] = between.join([b"FILE gallery/0001/request.json\n" + json.dumps(entry).encode(), b"GET /api/gallery",
+                                  b"POST /api/gallery/1/continue\nnull", b"GET /api/gallery/1/view/completed"])
+    some["file"] = between.join([b"FILE scene.json\n{}", b"GET /api/scene", edit[0], b"FILE instances.json\n[]", edit[1]])
     some["gallery"] = between.join([b"POST /api/gallery/1/continue\nnull", b"POST /api/jobs/1/cancel\nnull", b"DELETE /api/gallery/1\nnull"])
     return some
 
