@@ -138,6 +138,8 @@ impl Photo {
 
 /// As many pixels as a photo may have: more than any telephone takes, and less than fill a machine's memory.
 pub const PHOTO_PIXELS_LIMIT: u64 = 1 << 28;
+/// As many bytes as a photo may have in memory, however deep its pixels are: four for each of the most pixels.
+const DECODED_BYTES_LIMIT: u64 = 4 * PHOTO_PIXELS_LIMIT;
 
 /// Whether there is a ZIP file.
 pub(crate) fn is_archive(path: &Path) -> bool {
@@ -167,6 +169,12 @@ pub(crate) fn decode(bytes: Vec<u8>, path: &Path, as_stored: bool) -> Result<Rgb
             let (width, height) = decoder.dimensions();
             if u64::from(width) * u64::from(height) > PHOTO_PIXELS_LIMIT {
                 return Ok(Err(format!("{width}x{height} pixels are too many")));
+            }
+            if decoder.total_bytes() > DECODED_BYTES_LIMIT {
+                let bytes = decoder.color_type().bytes_per_pixel();
+                return Ok(Err(format!(
+                    "{width}x{height} pixels of {bytes} bytes are too many"
+                )));
             }
             Ok(Ok((DynamicImage::from_decoder(decoder)?, orientation)))
         });

@@ -186,11 +186,37 @@ fn tiff_and_webp_files_that_are_cut_short_are_errors() {
 
 #[test]
 fn a_small_file_of_a_picture_that_fills_the_memory_is_refused() {
-    let file = b"P6\n60000 60000\n255\n".to_vec();
-    let problem = decode(file, Path::new("bomb.ppm"), false).unwrap_err();
-    assert!(
-        problem
-            .to_string()
-            .contains("60000x60000 pixels are too many")
-    );
+    // Of 32 bits, four of them: (tag, type, value) of each entry.
+    let entries = [
+        (256, 4, 16384_u32),
+        (257, 4, 16384),
+        (258, 3, 32),
+        (259, 3, 1),
+        (262, 3, 2),
+        (273, 4, 300),
+        (277, 3, 4),
+        (278, 4, 16384),
+        (279, 4, u32::MAX),
+        (339, 3, 3),
+    ];
+    let mut tiff = b"II*\0\x08\0\0\0\x0a\0".to_vec();
+    for (tag, kind, value) in entries {
+        tiff.extend([tag, kind].map(u16::to_le_bytes).concat());
+        tiff.extend([1, value].map(u32::to_le_bytes).concat());
+    }
+    tiff.resize(400, 0);
+    for (file, says) in [
+        (b"P6\n60000 60000\n255\n".to_vec(), "60000x60000 pixels are"),
+        (
+            b"P6\n16384 16384\n65535\n".to_vec(),
+            "16384x16384 pixels of 6 bytes are",
+        ),
+        (tiff, "16384x16384 pixels of 16 bytes are"),
+    ] {
+        let problem = decode(file, Path::new("bomb"), false).unwrap_err();
+        assert!(
+            problem.to_string().contains(&format!("{says} too many")),
+            "{problem}"
+        );
+    }
 }
