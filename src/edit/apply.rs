@@ -1,6 +1,6 @@
 use super::{Edit, Motions, Placement, SplitBy};
 use crate::{
-    Map, Result,
+    Error, Map, Result,
     geometry::{Point, Pose, Vector},
     scene::{Cloud, Frame, Source},
 };
@@ -41,7 +41,8 @@ impl Edited {
 /// [`Edit::Restyle`] names, one for each frame and of its size.
 ///
 /// # Errors
-/// Those of `style`.
+/// Those of `style`; when there would be more than 16 times as many points as the photos show: each copy of copies
+/// doubles them.
 pub fn apply(
     cloud: Cloud,
     frames: &[Frame],
@@ -57,6 +58,8 @@ pub fn apply(
 
 /// How far around a removed object's mask its outline is taken away too, pixels.
 const FRINGE: u32 = 3;
+/// With copies, there are at most so many times the points that the photos show.
+const MOST_COPIES: usize = 16;
 
 /// A cloud under way, with where each of its points came from.
 pub(super) struct Work {
@@ -118,7 +121,7 @@ impl Work {
                     copy,
                     placement,
                 } => {
-                    self.copy(*instance, *copy);
+                    self.copy(*instance, *copy)?;
                     self.place(*copy, placement, floor_to_world);
                 }
                 Edit::Recolour { instances, change } => {
@@ -220,8 +223,20 @@ impl Work {
         }
     }
 
-    fn copy(&mut self, instance: u32, copy: u32) {
-        self.motions.copy(&self.places(instance));
+    fn copy(&mut self, instance: u32, copy: u32) -> Result<()> {
+        let places = self.places(instance);
+        let points = self.cloud.len() + places.len();
+        if points > MOST_COPIES * self.before.len() {
+            let problem = format!(
+                "with a copy of {instance} there would be {points} points, more than {MOST_COPIES} times as many as \
+                 the photos show"
+            );
+            return Err(Error::request(
+                problem,
+                "undo some of the copies, or remove them",
+            ));
+        }
+        self.motions.copy(&places);
         let (mut points, _) = self
             .cloud
             .clone()
@@ -229,6 +244,7 @@ impl Work {
         points.instances.fill(copy);
         self.origin.resize(self.origin.len() + points.len(), None);
         self.cloud.append(points);
+        Ok(())
     }
 
     fn recolour(&mut self, instance: u32, change: &super::ColourChange) {
@@ -337,7 +353,6 @@ fn share_out(map: &mut Map<u32>, instance: u32, shown: &[(usize, u32)]) {
 mod tests {
     use super::*;
     use crate::{
-        Error,
         edit::{ColourChange, Hex},
         scene::test_frames::facing_wall,
     };
@@ -362,6 +377,14 @@ mod tests {
         is_valid: fn(u32, u32) -> bool,
         edits: &[Edit],
     ) -> Edited {
+        tried(instance, is_valid, edits).unwrap()
+    }
+
+    fn tried(
+        instance: fn(u32) -> u32,
+        is_valid: fn(u32, u32) -> bool,
+        edits: &[Edit],
+    ) -> Result<Edited> {
         let frames = [facing_wall(0.0, 4.0)];
         let validity = [Map::from_fn(32, 24, is_valid)];
         let instances = vec![Map::from_fn(32, 24, |x, _| instance(x))];
@@ -373,7 +396,7 @@ mod tests {
                 Err(Error::request("no such style", "choose another"))
             }
         };
-        apply(cloud, &frames, instances, &Pose::identity(), edits, style).unwrap()
+        apply(cloud, &frames, instances, &Pose::identity(), edits, style)
     }
 
     /// Splits what is left of a column of the wall off instance 1, as instance 3.
@@ -508,6 +531,20 @@ mod tests {
         assert_eq!(count(&scene.cloud, 3), 0);
         let scene = edited(&[split_off_left_of(8), moved]);
         assert_eq!(columns(&scene.vacated, 1), (8..16).collect());
+    }
+
+    #[test]
+    fn copies_of_copies_do_not_fill_the_memory() {
+        let copy = Edit::Duplicate {
+            instance: 1,
+            copy: 3,
+            placement: Placement::default(),
+        };
+        let doubled = vec![vec![copy, merge(1, &[3])]; 60];
+        let all = |times: usize| tried(|_| 1, |_, _| true, &doubled[..times].concat());
+        assert_eq!(count(&all(4).unwrap().cloud, 1), 16 * 32 * 24);
+        let problem = all(60).unwrap_err().to_string();
+        assert!(problem.contains("more than 16 times"), "{problem}");
     }
 
     #[test]
