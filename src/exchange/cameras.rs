@@ -52,8 +52,8 @@ fn is_zero(steps: &usize) -> bool {
     *steps == 0
 }
 
-/// Nobody watches more cameras than this between two views.
-const MOST_STEPS: usize = 10_000;
+/// Nobody watches more cameras than this between views: an hour of film.
+const MOST_BETWEEN: usize = 100_000;
 
 impl CameraFile {
     /// Reads a file; `remedy` says where its format is explained.
@@ -80,8 +80,10 @@ impl CameraFile {
         if self.views.is_empty() {
             return Err("holds no view".into());
         }
-        if self.steps > MOST_STEPS {
-            return Err(format!("asks for more than {MOST_STEPS} steps"));
+        if self.views.len().saturating_mul(self.steps) > MOST_BETWEEN {
+            return Err(format!(
+                "asks for steps of more than {MOST_BETWEEN} cameras together"
+            ));
         }
         let mut names = BTreeSet::new();
         for (k, view) in self.views.iter().enumerate() {
@@ -152,6 +154,12 @@ mod tests {
         assert!(refused(|file| file.views[0].name = Some("../a".into())).contains("file name"));
         assert!(refused(|file| file.views[0].name = Some("a\\b".into())).contains("file name"));
         assert!(refused(|file| file.steps = usize::MAX).contains("steps"));
+        // Few steps between many views.
+        let message = refused(|file| {
+            file.views = vec![file.views[0].clone(); 20_000];
+            file.steps = 10;
+        });
+        assert!(message.contains("100000 cameras"), "{message}");
         let message = refused(|file| file.views[0].intrinsics.as_mut().unwrap().fx = 0.0);
         assert!(message.contains("impossible intrinsics"));
     }
