@@ -6,7 +6,7 @@ mod header;
 
 pub use header::{Header, Number};
 
-use std::io::{self, BufReader, Read, Seek, Write};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use zip::{ZipArchive, ZipWriter, result::ZipError, write::SimpleFileOptions};
 
 /// What deflate can shrink zeros by, at most (zlib's technical notes).
@@ -15,13 +15,19 @@ const DEFLATE_LIMIT: u64 = 1032;
 const NAMES: usize = 10;
 
 /// An archive that is read with care: it may be damaged or made to do harm.
-pub struct NpzReader<R>(ZipArchive<R>);
+pub struct NpzReader<R> {
+    zip: ZipArchive<R>,
+    /// Bytes of the archive.
+    length: u64,
+}
 
 impl<R: Read + Seek> NpzReader<R> {
     /// # Errors
     /// When it is no ZIP file.
-    pub fn new(reader: R) -> Result<Self, ZipError> {
-        Ok(Self(ZipArchive::new(reader)?))
+    pub fn new(mut reader: R) -> Result<Self, ZipError> {
+        let length = reader.seek(SeekFrom::End(0))?;
+        let zip = ZipArchive::new(reader)?;
+        Ok(Self { zip, length })
     }
 
     /// The array called `name`, its header read and checked.
@@ -29,20 +35,22 @@ impl<R: Read + Seek> NpzReader<R> {
     /// # Errors
     /// What is wrong, as in "the array `depths` ...".
     pub fn array(&mut self, name: &str) -> Result<Array<impl Read>, String> {
-        let Some(index) = self.0.index_for_name(&file_name(name)) else {
-            let names = self.0.file_names().filter_map(Result::ok);
+        let Some(index) = self.zip.index_for_name(&file_name(name)) else {
+            let names = self.zip.file_names().filter_map(Result::ok);
             let names = names.filter_map(|name| name.strip_suffix(".npy").map(str::to_string));
             let found: Vec<String> = names.take(NAMES).collect();
             return Err(format!("is missing (there are: {})", found.join(", ")));
         };
-        let entry = self.0.by_index(index);
+        let entry = self.zip.by_index(index);
         let entry = entry.map_err(|error| format!("cannot be unpacked ({error})"))?;
         let (bytes, packed_bytes) = (entry.size(), entry.compressed_size());
         let mut values = BufReader::new(entry);
         let (header, header_bytes) = Header::read(&mut values)?;
         let expected = header.value_bytes();
         let expected = expected.and_then(|values| values.checked_add(header_bytes as u64));
-        if expected != Some(bytes) || bytes / DEFLATE_LIMIT > packed_bytes {
+        // The directory may lie about both sizes.
+        let is_there = packed_bytes <= self.length && bytes / DEFLATE_LIMIT <= packed_bytes;
+        if expected != Some(bytes) || !is_there {
             return Err(format!(
                 "does not have the values that its shape {:?} needs",
                 header.shape

@@ -59,6 +59,15 @@ fn arrays_without_the_values_that_they_need_are_refused() {
         let message = read(&archive(&file)).unwrap_err();
         assert!(message.contains("does not have the values"), "{message}");
     }
+    // A directory that states what the shape needs.
+    let header = Header::new(&[16384, 16384], Number::F32);
+    let mut lying = archive(&npy(&header, &[0; 4]));
+    let directory = lying.windows(4).position(|bytes| bytes == b"PK\x01\x02");
+    let sizes = directory.unwrap() + 20;
+    let stated = (128 + (1_u32 << 30)).to_le_bytes().repeat(2);
+    lying[sizes..sizes + 8].copy_from_slice(&stated);
+    let message = read(&lying).unwrap_err();
+    assert!(message.contains("does not have the values"), "{message}");
     assert_eq!(
         read(&archive(&npy(&Header::new(&[0, 3], Number::F32), &[]))),
         Ok(vec![])
