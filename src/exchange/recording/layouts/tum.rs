@@ -25,6 +25,8 @@ const UNITS_PER_METRE: f64 = 5000.0;
 const SAME_TIME_SECONDS: f64 = 0.02;
 /// Between poses that are farther from each other nothing is interpolated.
 const GAP_SECONDS: f64 = 0.1;
+/// As many pictures of one list are near to one of the other on the average, at most: 1 kHz gives 40.
+const MOST_NEAR: usize = 100;
 
 /// Whether `folder` has the lists.
 pub(super) fn fits(folder: &Path) -> bool {
@@ -44,7 +46,13 @@ pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Listing> {
     let lens = lens(folder, options)?;
     let units_per_length = options.depth_scale.unwrap_or(UNITS_PER_METRE);
     let times = |files: &[(f64, PathBuf)]| files.iter().map(|(time, _)| *time).collect::<Vec<_>>();
-    let pairs = associate(&times(&photos), &times(&depth));
+    let pairs = associate(&times(&photos), &times(&depth)).ok_or_else(|| {
+        Error::file(
+            folder.join("depth.txt"),
+            "lists more depth pictures within 20 ms of a photo than any camera takes",
+            "correct the times in rgb.txt and depth.txt, which are seconds",
+        )
+    })?;
     let entries = (0..).zip(photos).zip(pairs);
     let entries = entries.map(|((number, (time, photo)), pair)| Entry {
         number,
@@ -172,19 +180,19 @@ fn read_poses(path: &Path) -> Result<Vec<(f64, Pose)>> {
 }
 
 /// For each of the times `a` the place of its partner in `b`: nearest pairs first, no farther than 0.02 s,
-/// each used once. Both are in order.
-fn associate(a: &[f64], b: &[f64]) -> Vec<Option<usize>> {
+/// each used once. Both are in order. `None` if far more lie near each other than cameras take: there would be
+/// as many candidates as one list times the other.
+fn associate(a: &[f64], b: &[f64]) -> Option<Vec<Option<usize>>> {
     let mut candidates = Vec::new();
     for (i, time) in a.iter().enumerate() {
         let first = b.partition_point(|other| *other <= time - SAME_TIME_SECONDS);
-        let near = b[first..]
-            .iter()
-            .take_while(|other| **other < time + SAME_TIME_SECONDS);
-        candidates.extend(
-            (first..)
-                .zip(near)
-                .map(|(k, other)| ((time - other).abs(), i, k)),
-        );
+        let near = &b[first..];
+        let end = near.partition_point(|other| *other < time + SAME_TIME_SECONDS);
+        if candidates.len() + end > MOST_NEAR * (a.len() + b.len()) {
+            return None;
+        }
+        let near = (first..).zip(&near[..end]);
+        candidates.extend(near.map(|(k, other)| ((time - other).abs(), i, k)));
     }
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
     let mut partners = vec![None; a.len()];
@@ -195,7 +203,7 @@ fn associate(a: &[f64], b: &[f64]) -> Vec<Option<usize>> {
             taken[k] = true;
         }
     }
-    partners
+    Some(partners)
 }
 
 /// The pose at `time`, between the one before and the one after; `None` where neither is near.
@@ -231,9 +239,18 @@ mod tests {
     fn nearest_pairs_are_made_first_and_each_is_used_once() {
         let photos = [1.0, 1.03, 2.0];
         let depth = [1.015, 1.033, 2.02, 2.0201];
-        assert_eq!(associate(&photos, &depth), [Some(0), Some(1), None]);
-        assert_eq!(associate(&[1.0, 1.01], &[1.008]), [None, Some(0)]);
-        assert_eq!(associate(&[1.0], &[]), [None]);
+        let pairs = |a: &[f64], b: &[f64]| associate(a, b).unwrap();
+        assert_eq!(pairs(&photos, &depth), [Some(0), Some(1), None]);
+        assert_eq!(pairs(&[1.0, 1.01], &[1.008]), [None, Some(0)]);
+        assert_eq!(pairs(&[1.0], &[]), [None]);
+    }
+
+    #[test]
+    fn lists_of_one_time_are_not_multiplied() {
+        // A few are taken, in order.
+        let pairs = associate(&[1.0; 20], &[1.0; 20]).unwrap();
+        assert_eq!(pairs[19], Some(19));
+        assert_eq!(associate(&[1.0; 1000], &[1.0; 1000]), None);
     }
 
     #[test]
