@@ -7,8 +7,8 @@ from .checkpoints import checkpoints, pickles, tensor_files
 from .dictionaries import WORDS, quoted
 from .formats import arrays, camera_files, clouds, colmap_models, sens_files
 from .page import lists, requests, scene_files, uploads
-from .pictures import exif, photos, zips
-from .recordings import few_of, recordings
+from .pictures import exif, photos, vast, zips
+from .recordings import few_of, recordings, vast_ones
 
 FIXTURES = Path(__file__).resolve().parents[2] / "tests/fixtures"
 # In longer files, mutations would be lost.
@@ -37,8 +37,8 @@ def make(folder):
     at a time. Gives the names of the targets."""
     whole, heic = recordings(), fixtures("heic/*.heic")
     targets = {
-        "ply": clouds(), "colmap": colmap_models(), "cameras": camera_files(), "sens": sens_files(), "recording": headed(dict(few_of(whole))),
-        "npz": arrays(), "photo": photos(), "exif": {"little": exif("<"), "big": exif(">")}, "heic": heic, "zip": zips(),
+        "ply": clouds(), "colmap": colmap_models(), "cameras": camera_files(), "sens": sens_files(), "recording": {**headed(dict(few_of(whole))), **vast_ones()},
+        "npz": arrays(), "photo": {**photos(), **vast()}, "exif": {"little": exif("<"), "big": exif(">")}, "heic": heic, "zip": zips(),
         "safetensors": {**tensor_files(), **fixtures("cases/*/*/inputs.safetensors")}, "pickle": pickles(), "checkpoint": checkpoints(),
         # The targets add all networks.
         "config": {"none": b"{}"}, "network": {"none": b"a 1\n"}, "repository": headed(beside_weights()),

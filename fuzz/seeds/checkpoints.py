@@ -21,7 +21,9 @@ def safetensors(tensors, metadata=None):
 def tensor_files():
     maps = {"map": ("F32", [2, 3], bytes(24)), "depth": ("U32", [2, 1], bytes(8)), "confidence": ("BOOL", [1, 3], b"\0\1\1")}
     halves = {"a.weight": ("F16", [2, 2], bytes(8)), "a.bias": ("BF16", [3], bytes(6)), "b": ("I64", [], bytes(8))}
-    return {"maps": safetensors(maps, {"recipe": "x"}), "halves": safetensors(halves), "none": safetensors({})}
+    vast = struct.pack("<Q", 1 << 62) + safetensors({})[8:]
+    far = safetensors({"map": ("F32", [1 << 31, 1 << 30], bytes(8))})
+    return {"vast": vast, "far": far, "maps": safetensors(maps, {"recipe": "x"}), "halves": safetensors(halves), "none": safetensors({})}
 
 
 class Callable:

@@ -5,7 +5,7 @@ import struct
 import zipfile
 import zlib
 
-from .pictures import ENCODED, HEIGHT, WIDTH, depths, photo_png, pixels, zipped
+from .pictures import ENCODED, HEIGHT, WIDTH, depths, lying_zip, photo_png, pixels, vast, zipped
 
 LENS = [14.0, 14.0, 7.5, 5.5]
 IDENTITY = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
@@ -35,7 +35,8 @@ def condition(how=zipfile.ZIP_DEFLATED):
 
 def arrays():
     return {"deflated.npz": condition(), "stored.npz": condition(zipfile.ZIP_STORED),
-            "c.npy": npy((2, 3), range(6)), "fortran.npy": npy((2, 3, 2), range(12), "<f8", True), "one.npy": npy("(3,)", [1, 2, 3])}
+            "c.npy": npy((2, 3), range(6)), "fortran.npy": npy((2, 3, 2), range(12), "<f8", True), "one.npy": npy("(3,)", [1, 2, 3]),
+            "vast.npz": lying_zip("depths.npy", npy((2, 16384, 16384), [0]), 128 + 4 * 2 * 16384**2 - 1)}
 
 
 def ply(form="ascii", more=""):
@@ -55,7 +56,9 @@ def clouds():
     forms = ["ascii", "binary_little_endian", "binary_big_endian"]
     before = b"ply\nformat ascii 1.0\nelement camera 1\nproperty list uint float k\nelement vertex 1\nproperty short x\n" \
         b"property ushort y\nproperty char z\nproperty float red\nproperty float green\nproperty float blue\nend_header\n2 1 2\n1 2 3 0.5 1 255\n"
-    return {**{form: ply(form) for form in forms}, "before": before}
+    many = [ply(form).replace(b"vertex 2", b"vertex 4294967295") for form in forms]
+    long = ply(forms[1])[:-13] + b"\xff" + ply(forms[1])[-12:]
+    return {**{form: ply(form) for form in forms}, "before": before, "many": many[1], "many_words": many[0], "long": long}
 
 
 def points_ply(depth):
@@ -86,7 +89,8 @@ def colmap_models():
     few = lambda text, parts: (b"t" if text else b"b") + b"\n--\n".join(parts)
     binary = colmap(False)
     one = struct.pack("<Q", 1) + binary[2][8 : 8 + 59]
-    return {"text": join(True), "binary": join(False), "few": few(False, [*binary[:2], one]), "without": few(True, colmap(True)[:2])}
+    many = [struct.pack("<Q", 1 << 62) + part[8:] for part in binary]
+    return {"text": join(True), "binary": join(False), "many": few(False, many), "many_points": few(False, [*binary[:2], many[2]]), "few": few(False, [*binary[:2], one]), "without": few(True, colmap(True)[:2])}
 
 
 def transforms(depth=True, images="images"):
@@ -109,22 +113,27 @@ def camera_files():
     fisheye = {**transforms(), "camera_model": "OPENCV_FISHEYE", "k3": 0, "k4": 0}
     ngp = {"camera_angle_x": 1.0, "w": WIDTH, "h": HEIGHT, "frames": [{"file_path": "1.png", "transform_matrix": IDENTITY}]}
     path = {"views": [{"cam_to_world": IDENTITY}, {"cam_to_world": moved(1)}], "steps": 3}
-    found = {"transforms": transforms(), "fisheye": fisheye, "ngp": ngp, "cameras": camera_file(), "path": path}
+    vast = {**transforms(), "w": 4294967295, "h": 4294967295}
+    found = {"transforms": transforms(), "vast": vast, "fisheye": fisheye, "ngp": ngp, "cameras": camera_file(), "path": path}
     return {name: json.dumps(value).encode() for name, value in found.items()}
 
 
-def sens(colour, depth):
-    fx, fy, cx, cy = LENS
+def sens(colour, depth, side=None):
+    """With sides that are no photo's, if that is given."""
+    width, height = (side, side) if side else (WIDTH, HEIGHT)
+    fx, fy, cx, cy = (x * width / WIDTH for x in LENS)
     lens = struct.pack("<16f", fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0, 0, 0, 0, 1)
     place = struct.pack("<16f", *sum(IDENTITY, []))
-    photo = [b"".join(bytes(p) for p in pixels()), photo_png(), ENCODED["plain.jpg"]][colour]
+    photo = [b"".join(bytes(p) for p in pixels()), vast()["vast.png"] if side else photo_png(), ENCODED["plain.jpg"]][colour]
     units = struct.pack(f"<{WIDTH * HEIGHT}H", *depths())
     units = zlib.compress(units) if depth else units
     head = struct.pack("<IQ", 4, 4) + b"test" + lens + place + lens + place
-    head += struct.pack("<6IfQ", colour, depth, WIDTH, HEIGHT, WIDTH, HEIGHT, 1000, 2)
+    head += struct.pack("<6IfQ", colour, depth, width, height, width, height, 1000, 2)
     frame = lambda x: struct.pack("<16f", *sum(moved(x), [])) + struct.pack("<4Q", 1, 2, len(photo), len(units)) + photo + units
     return head + frame(0) + frame(0.1) + struct.pack("<Q", 0)
 
 
 def sens_files():
-    return {f"{colour}{depth}.sens": sens(colour, depth) for colour in range(3) for depth in range(2)}
+    kinds = [(colour, depth) for colour in range(3) for depth in range(2)]
+    return {**{f"{colour}{depth}.sens": sens(colour, depth) for colour, depth in kinds},
+            **{f"{colour}{depth}_vast.sens": sens(colour, depth, 1 << 14) for colour, depth in kinds}}

@@ -24,6 +24,8 @@ def scene_files():
     record = {"id": 1, "name": "a", "points": 9, "score": 0.5, "photos": ["frame-1"], "mean_colour": [1, 2, 3],
               "floor_box": [[0, 1], [0, 1], [0, 1]]}
     found = {name: b"edits.json\n" + data for name, data in lists.items()}
+    # Each pair doubles an instance.
+    found["copies"] = b"edits.json\n" + json.dumps([edits[4], {"edit": "merge", "instance": 1, "others": [9]}] * 30).encode()
     found["timings"] = b"timings.json\n" + json.dumps({"clean_seconds": 0.5}).encode()
     found["instances"] = b"instances.json\n" + json.dumps([record]).encode()
     found["colour"] = b"frames/frame-1/colour.png\n" + photo_png()

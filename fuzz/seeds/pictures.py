@@ -79,6 +79,20 @@ def photos():
     return found
 
 
+def vast():
+    """Small files of pictures that state to be of 16384 x 16384 deep pixels."""
+    side, body = 1 << 14, zlib.compress(bytes(1000))
+    head = lambda depth, colour: chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, depth, colour, 0, 0, 0))
+    made = lambda depth, colour: b"\x89PNG\r\n\x1a\n" + head(depth, colour) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
+    tags = [(256, 4, side), (257, 4, side), (258, 3, 32), (259, 3, 1), (262, 3, 2), (273, 4, 300), (277, 3, 4), (278, 4, side),
+            (279, 4, 0xFFFFFFFF), (339, 3, 3)]
+    ifd = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
+    return {"vast.png": made(16, 6), "vast_grey.png": made(16, 0), "vast_bits.png": made(1, 0), "vast_rgb.png": made(8, 2),
+            "vast.ppm": b"P6 16384 16384 65535\n" + bytes(10), "vast.pgm": b"P5 16384 16384 65535\n" + bytes(10),
+            "vast.tiff": (b"II*\0" + struct.pack("<I", 8) + ifd).ljust(400, b"\0"),
+            "vast.webp": b"RIFF\x12\0\0\0WEBPVP8L\x06\0\0\0\x2f\xff\xff\xff\x0f\0"}
+
+
 def zipped(files, how=zipfile.ZIP_STORED):
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", how) as archive:
@@ -87,7 +101,17 @@ def zipped(files, how=zipfile.ZIP_STORED):
     return out.getvalue()
 
 
+def lying_zip(name, data, size):
+    """An archive of one file as it is, whose directory states another size."""
+    made = bytearray(zipped({name: data}))
+    for begin, at in ((b"PK\x03\x04", 18), (b"PK\x01\x02", 20)):
+        found = made.index(begin) + at
+        made[found : found + 8] = struct.pack("<II", size, size)
+    return bytes(made)
+
+
 def zips():
     some = {"a/1.png": photo_png(), "a/2.jpg": ENCODED["plain.jpg"], "notes.txt": b"no photo"}
     return {"stored": zipped(some), "deflated": zipped(some, zipfile.ZIP_DEFLATED), "empty": zipped({}),
+            "vast": lying_zip("1.png", photo_png(), 0x1FFFFFFF),
             "names": zipped({"../1.png": photo_png(), "__MACOSX/1.png": b"", "c:\\1.png": photo_png()})}

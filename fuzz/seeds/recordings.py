@@ -5,7 +5,7 @@ import struct
 import zlib
 
 from .formats import IDENTITY, LENS, camera_file, colmap, condition, moved, points_ply, transforms
-from .pictures import HEIGHT, WIDTH, depth_png, photo_png, photos, png
+from .pictures import HEIGHT, WIDTH, depth_png, photo_png, photos, png, vast
 
 
 def recordings():
@@ -55,6 +55,14 @@ def recordings():
     files |= {"iphone/pose_intrinsic_imu.json": cameras, "iphone_together/pose_intrinsic_imu.json": cameras,
               "iphone/depth.bin": framed(deflate(metres)) * 2, "iphone_together/depth.bin": deflate(metres * 2)}
     return files
+
+
+def vast_ones():
+    """Pictures that state to be large, in the place of others."""
+    some = vast()
+    found = {f"{key}_{kind}": f"seven_scenes/frame-1.{key}.png".encode() + b"\n" + some[f"vast{kind}.png"]
+             for key in ("color", "depth") for kind in ("", "_grey", "_rgb")}
+    return {**found, "pgm": b"color_depth/depth/1.pgm\n" + some["vast.pgm"]}
 
 
 def few_of(files):
