@@ -12,8 +12,9 @@ use tid3r_weights_convert::{Found, Network};
 ///
 /// A network runs at full size on made-up pictures and, unless weights are given, on made-up weights: speed
 /// depends on neither, but made-up weights take memory as a whole, those of a file as far as they are used
-/// at a time. What is expected is what a run compares with the memory that there is before it starts. Operations are those of the network's definition; the share of the peak is of
-/// those that are really computed, against what the processor does with numbers in registers.
+/// at a time. What is expected is the memory that a run, before it starts, compares with what there is. Operations are
+/// those of the network's definition; the share of the peak is of those that are really computed, against what the
+/// processor does with numbers in registers.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     tid3r bench --model mvdust3r\n  \

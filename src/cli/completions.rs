@@ -7,6 +7,16 @@ use std::io::Write;
 /// Print a completion script for your shell.
 ///
 /// For bash: tid3r completions bash > ~/.local/share/bash-completion/completions/tid3r
+///
+/// For fish: tid3r completions fish > ~/.config/fish/completions/tid3r.fish
+///
+/// For zsh: tid3r completions zsh > DIR/_tid3r, where DIR is a folder of $fpath
+///
+/// For PowerShell: tid3r completions powershell >> $PROFILE
+///
+/// For elvish: tid3r completions elvish >> ~/.config/elvish/rc.elv
+///
+/// Folders that are not there have to be made first.
 #[derive(Debug, Args)]
 pub(super) struct Completions {
     /// The shell

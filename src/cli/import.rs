@@ -11,7 +11,7 @@ use tid3r::{
 const EXAMPLES: &str = "Examples:
   tid3r import scene0000_00.sens -o room --frames 0-2000:100      every hundredth photo of ScanNet
   tid3r import rgbd_dataset_freiburg1_room -o room                20 photos, evenly spaced
-  tid3r import 7scenes/office -o room --test-frames 40,80         two held out, to compare views with
+  tid3r import 7scenes/office -o room --test-frames 40,80         two held out, as test views
   tid3r import data -o room --points mesh.ply                     transforms.json, depth from points
   tid3r import photos --cameras sparse/0 -o room                  a COLMAP model of these photos
   tid3r import photos --cameras cameras.json --points cloud.ply -o room

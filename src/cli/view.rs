@@ -28,8 +28,9 @@ pub(super) struct View {
     /// The port; 0 for any that is free
     #[arg(long, value_name = "N", default_value_t = 8338)]
     port: u16,
-    /// Serve other machines too, at this address of this one (0.0.0.0 for all it has). The printed address then has a
-    /// token, without which nothing is answered; it is not encrypted
+    /// Serve other machines too, at this address of this one, or 0.0.0.0 for all it has: other machines then put its IP
+    /// address in place of `localhost`. The printed address has a token, without which nothing is answered; nothing is
+    /// encrypted
     #[arg(long, value_name = "ADDRESS")]
     host: Option<IpAddr>,
     /// Open the page in the browser

@@ -20,7 +20,8 @@ pub struct See3dParams {
     /// Which sampler
     #[arg(long, value_enum, value_name = "HOW", default_value_t)]
     pub quality: Quality,
-    /// Steps of the sampler [default: 50, or 15 with --quality fast, or 5 with synthetic-tiny weights]
+    /// Steps of the sampler; See3D's own takes some more, 53 for 50 [default: 50, or 15 with --quality fast, or 5
+    /// with synthetic-tiny weights]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=500))]
     pub steps: Option<u32>,
     /// How far results are pushed from what comes without the photos
