@@ -22,14 +22,19 @@ pub(crate) fn joined(whose: &str, mut errors: Vec<Error>) -> Error {
     if errors.len() == 1 {
         return errors.swap_remove(0);
     }
-    let all: Vec<String> = errors.iter().map(Error::to_string).collect();
+    // What was looked at and what to do would be as long for each.
+    let brief = |error: &Error| {
+        let text = error.to_string();
+        text.split(": ").next().unwrap_or_default().to_string()
+    };
+    let all: Vec<String> = errors.iter().map(brief).collect();
     Error::request(
         format!(
             "{} of {whose} networks are missing: {}",
             all.len(),
-            all.join(" | ")
+            all.join(", ")
         ),
-        "`tid3r weights list` shows what is here",
+        "`tid3r weights list` says what to get from where, and how to convert it",
     )
 }
 

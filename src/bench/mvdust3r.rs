@@ -30,14 +30,16 @@ pub(super) fn trials(
         ..Options::default()
     };
     let footprint = source.footprint()?;
-    let views = match params.views.is_empty() {
-        true => &VIEWS[..],
-        false => &params.views,
+    let least = config.references().max(2);
+    let is_enough = |views: &u32| *views as usize >= least;
+    let views: Vec<u32> = match params.views.is_empty() {
+        true => VIEWS.into_iter().filter(is_enough).collect(),
+        false => params.views.clone(),
     };
-    if views.contains(&1) {
+    if !views.iter().all(is_enough) {
         return Err(Error::request(
-            "the network cannot see one photo alone",
-            "give numbers of views from 2 on",
+            format!("the network sees at least {least} photos at once"),
+            format!("give numbers of --views from {least} on"),
         ));
     }
     let trial = |&views: &u32| {

@@ -36,7 +36,7 @@ impl Doctor {
         let hindered: Vec<_> = hindered.map(|verb| format!("`{}`", verb.name)).collect();
         if !hindered.is_empty() {
             bail!(
-                "{} cannot run on this machine yet; `tid3r doctor` says what to do",
+                "{} cannot run on this machine yet; see above what to do",
                 hindered.join(" and ")
             );
         }

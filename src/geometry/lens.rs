@@ -80,7 +80,7 @@ impl Lens {
         let focals = [self.fx, self.fy].map(|f| f.abs() / f64::from(width));
         if focals.iter().any(|f| !FOCAL_WIDTHS.contains(f)) {
             return Err(format!(
-                "the focal lengths {} and {} cannot be those of an image {width} pixels wide",
+                "the focal lengths {:.3} and {:.3} cannot be those of an image {width} pixels wide",
                 self.fx, self.fy
             ));
         }

@@ -69,3 +69,13 @@ fn kernels_are_measured() {
     place.misuse("bench --kernels --size 64");
     place.misuse("bench --model mvdust3r --check");
 }
+
+#[test]
+fn fewer_photos_than_a_network_sees_are_refused() {
+    let place = Place::new();
+    place.run("-q weights synthesize mvdust3r-plus --tiny -o models/plus");
+    let problem =
+        place.fail("bench --model mvdust3r-plus --weights models/plus --runs 1 --views 4,1");
+    assert!(problem.contains("at least"), "{problem}");
+    assert!(problem.contains("--views"), "{problem}");
+}

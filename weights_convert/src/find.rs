@@ -293,7 +293,7 @@ impl Places {
                     None => (String::new(), String::new()),
                 };
                 format!(
-                    "get {file} from {}{also} ({}), then `tid3r weights convert {name}{with} -o {target}`{export}",
+                    "get {file} from {}{also} (licence: {}), then `tid3r weights convert {name}{with} -o {target}`{export}",
                     network.source, network.licence
                 )
             }
@@ -315,7 +315,7 @@ impl Places {
             None => {
                 let name = folder.rsplit('/').next().unwrap_or(folder);
                 format!(
-                    "get {folder} from {} ({}), then `tid3r weights convert {name} -o {target}`{export}",
+                    "get {folder} from {} (licence: {}), then `tid3r weights convert {name} -o {target}`{export}",
                     network.source, network.licence
                 )
             }

@@ -119,7 +119,7 @@ impl SplitBy {
 impl fmt::Display for SplitBy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Components { gap } => write!(f, "where gaps are wider than {gap}"),
+            Self::Components { gap } => write!(f, "where gaps are wider than {gap:.3}"),
             Self::Clusters { count } => write!(f, "into {count} clusters"),
             Self::Above { height } => write!(f, "above {height}"),
             Self::Box { low, high } => write!(f, "by the box from {low:?} to {high:?}"),

@@ -119,8 +119,8 @@ impl Decoder {
                 image.shape()
             );
         }
-        let corners = self.prompt_encoder.boxes(boxes)?;
-        let count = corners.dim(0)?;
+        // Devices have no tensors of nothing.
+        let count = boxes.dims2()?.0;
         if count == 0 {
             let masks = match options.output {
                 Output::Single => 1,
@@ -132,6 +132,7 @@ impl Decoder {
                 iou: none(&[0, masks])?,
             });
         }
+        let corners = self.prompt_encoder.boxes(boxes)?;
         let image = image.to_device(&self.device)?;
         let image = image.broadcast_add(&self.prompt_encoder.no_mask()?)?;
         let side = (self.mask_decoder).look_at(&image, &self.prompt_encoder.places()?)?;

@@ -49,6 +49,7 @@ impl Moments {
                 noise.shape()
             );
         }
+        let noise = noise.to_device(mean.device())?;
         (mean + (self.standard_deviation()? * noise)?)? * self.scaling_factor
     }
 
