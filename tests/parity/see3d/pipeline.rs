@@ -1,7 +1,10 @@
 //! The pipeline: pictures on their way in and out, frames and groups, and everything in between.
 
 use super::{channels_first, channels_last};
-use crate::{case::Case, comparison::Comparison};
+use crate::{
+    case::{Case, device},
+    comparison::Comparison,
+};
 use anyhow::{Context, Result, bail, ensure};
 use candle_core::{DType, Device, IndexOp, Tensor};
 use image::{GrayImage, RgbImage};
@@ -289,7 +292,7 @@ impl Networks {
                 let seed = config.component_seeds.get(part).copied();
                 let seed = seed.with_context(|| format!("no seed for `{part}`"))?;
                 let make = move |name: &str, shape: &[usize]| synth::tensor(name, shape, seed);
-                Ok(Weights::from_fn(make, &Device::Cpu))
+                Ok(Weights::from_fn(make, device()?))
             };
             return Ok(Self {
                 unet: Unet::new(&unet_config, &weights("unet")?)?,
@@ -350,7 +353,9 @@ impl denoise::Noise for Recorded<'_> {
             Draw::Latents => channels_last(self.0.input("noise_latents")?),
             Draw::Warp(step) => channels_last(&self.0.input("noise_warp")?.i(step)?),
         };
-        recorded().map_err(|error| candle_core::Error::Msg(error.to_string()))
+        let recorded = recorded().map_err(|error| candle_core::Error::Msg(error.to_string()))?;
+        // Only networks compute elsewhere.
+        recorded.to_device(&Device::Cpu)
     }
 }
 
