@@ -34,7 +34,7 @@ pub(crate) fn joined(whose: &str, mut errors: Vec<Error>) -> Error {
             all.len(),
             all.join(", ")
         ),
-        "`tid3r weights list` says what to get from where, and how to convert it",
+        "`tid3r weights list` says what to get from where; `tid3r weights convert` makes it usable",
     )
 }
 

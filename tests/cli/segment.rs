@@ -85,7 +85,7 @@ fn a_scene_is_cut_with_the_weights_that_are_there() {
     place.run("clean scene");
     let [_, err] = place.run_loud("segment scene");
     assert!(
-        err.contains("without a network") && err.contains("mobilesamv2-detector"),
+        err.contains("without a network") && err.contains("object-aware detector"),
         "{err}"
     );
     for explicit in [
@@ -122,7 +122,7 @@ fn what_cannot_be_is_said_before_any_work() {
     let message = place.fail("segment --photo missing.png --weights models");
     assert!(message.contains("missing.png"), "{message}");
     let message = place.fail("segment --photo a.png --weights nowhere");
-    assert!(message.contains("mobilesamv2-detector"), "{message}");
+    assert!(message.contains("object-aware detector"), "{message}");
     place.write("models/mobilesamv2-decoder/config.json", "{}");
     let message = place.fail("segment --photo a.png --weights models");
     assert!(message.contains("config.json"), "{message}");
