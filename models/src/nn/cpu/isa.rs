@@ -39,7 +39,7 @@ pub(super) trait Task {
 }
 
 impl Isa {
-    /// Names the instruction set to use in place of the best one, or [`CANDLE`].
+    /// Names the instruction set to use in place of the best one, or is `candle` for none.
     pub const VARIABLE: &str = "TID3R_CPU";
 
     /// The features that instruction sets need, and whether this CPU has them. A virtual machine may hide any of them.
