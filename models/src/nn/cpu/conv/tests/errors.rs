@@ -17,9 +17,7 @@ impl Way {
     }
 
     /// The error that no output may exceed, as a share of [`size`]: so many roundings of half a unit in the last
-    /// place, which add up like a random walk over what is summed. Where a single number is much greater than all others
-    /// there is little that could cancel: F(4,3) with an outlier of a million was seen to come to 2.8 (seed 161, 11x5, 37
-    /// inputs, 23 outputs), F(6,5) to 56 (seed 787, 7x8, 40 inputs, 5 outputs).
+    /// place, which add up like a random walk over what is summed.
     fn bound(self, layer: &Layer) -> f64 {
         let taps = layer.steps.kernel * layer.steps.kernel;
         let (roundings, depth) = match self {
@@ -27,7 +25,7 @@ impl Way {
             Self::Winograd(Scheme::F23) => (1.0, layer.inputs),
             Self::Winograd(Scheme::F43 | Scheme::F25) => (3.5, layer.inputs),
             Self::Winograd(Scheme::F63) => (25.0, layer.inputs),
-            Self::Winograd(_) => (70.0, layer.inputs),
+            Self::Winograd(_) => (60.0, layer.inputs),
         };
         roundings * (depth as f64).sqrt() * f64::from(f32::EPSILON) / 2.0
     }
@@ -89,6 +87,15 @@ impl Data {
         Self::Filters,
     ];
 
+    /// How many times the error of other data is allowed: a single number that is much greater than all others leaves
+    /// nothing to cancel. In some thousand draws F(4,3) came to 1.5 times of what other data may.
+    fn coherence(self) -> f64 {
+        match self {
+            Self::Outlier => 3.0,
+            _ => 1.0,
+        }
+    }
+
     fn spoil(self, layer: &mut Layer) {
         let power = |i: usize| 10_f32.powi((i % 9) as i32 - 4);
         let (inputs, taps) = (layer.inputs, layer.steps.kernel * layer.steps.kernel);
@@ -127,7 +134,8 @@ proptest! {
             data.spoil(&mut layer);
             let want = layer.want();
             for way in Way::of_kernel(kernel) {
-                let (sizes, bound) = (size(&layer, way.reach(kernel)), way.bound(&layer));
+                let sizes = size(&layer, way.reach(kernel));
+                let bound = data.coherence() * way.bound(&layer);
                 for isa in Isa::available() {
                     let got = layer.run(way, isa);
                     let errors = got.iter().zip(&want).zip(&sizes);
