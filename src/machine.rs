@@ -5,8 +5,8 @@
 //! ```
 //! use tid3r::machine::{Expense, available_memory, total_memory};
 //!
-//! let expense = Expense { seconds: 180.0, bytes: 3_200_000_000 };
-//! assert_eq!(expense.to_string(), "about 3 min and 3.2 GB");
+//! let expense = Expense { seconds: 200.0, bytes: 3_200_000_000 };
+//! assert_eq!(expense.to_string(), "about 3.3 min and 3.2 GB");
 //! let (free, all) = (available_memory(), total_memory());
 //! assert!(free <= all);
 //! // Where the system does not say, it is tried.
@@ -21,7 +21,7 @@ mod pace;
 
 pub use device::compute_on;
 pub(crate) use device::{device, network_memory};
-pub(crate) use pace::{Pace, Reached};
+pub(crate) use pace::{Pace, Reached, seconds_to_load};
 
 use serde::Serialize;
 use std::{fmt, fs, path::Path};
@@ -119,7 +119,8 @@ pub fn readable_bytes(bytes: u64) -> String {
 /// `seconds` for people.
 pub fn readable_seconds(seconds: f64) -> String {
     match seconds {
-        s if s < 90.0 => format!("{s:.0} s"),
+        s if s < 99.5 => format!("{s:.0} s"),
+        s if s < 570.0 => format!("{:.1} min", s / 60.0),
         s if s < 5400.0 => format!("{:.0} min", s / 60.0),
         s => format!("{:.1} h", s / 3600.0),
     }
@@ -156,7 +157,8 @@ mod tests {
         assert_eq!(readable_bytes(2_650_000_000), "2.6 GB");
         assert_eq!(readable_bytes(51_400_000), "51 MB");
         assert_eq!(readable_seconds(42.4), "42 s");
-        assert_eq!(readable_seconds(150.0), "2 min");
+        assert_eq!(readable_seconds(150.0), "2.5 min");
+        assert_eq!(readable_seconds(601.0), "10 min");
         assert_eq!(readable_seconds(9000.0), "2.5 h");
     }
 

@@ -15,6 +15,13 @@ pub(crate) struct Reached {
 
 /// Of a GPU's best with large products, what networks reach. Nobody has measured it yet.
 const REACHED_ON_GPUS: f64 = 0.25;
+/// Bytes of weights that are brought to another type in a second, by measurement. What a GPU takes, nobody has measured.
+const LOADED_IN_A_SECOND: f64 = 1.2e9;
+
+/// Seconds until so many bytes of weights are there that cannot be used as the file has them.
+pub(crate) fn seconds_to_load(bytes: usize) -> f64 {
+    bytes as f64 / LOADED_IN_A_SECOND
+}
 
 /// What this machine does in a second.
 #[derive(Clone, Copy, Debug)]

@@ -1,7 +1,10 @@
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{PROGRAM_BYTES, Pace, Reached, network_memory, readable_bytes, readable_seconds},
+    machine::{
+        PROGRAM_BYTES, Pace, Reached, network_memory, readable_bytes, readable_seconds,
+        seconds_to_load,
+    },
 };
 use std::fmt;
 use tid3r_models::{
@@ -26,8 +29,8 @@ pub struct RunEstimate {
 }
 
 const REACHED: Reached = Reached {
-    f32: 0.65,
-    bf16: 1.05,
+    f32: 0.66,
+    bf16: 1.0,
 };
 /// Tokens at a time, from what is fast to what is small.
 const ROWS: [usize; 5] = [4096, 2048, 1024, 512, 1];
@@ -57,7 +60,11 @@ impl RunEstimate {
             seconds: pace.seconds(work.computed(), REACHED),
             bytes: 0,
         };
-        estimate.bytes = estimate.bytes_with(views, ROWS[0])?;
+        let memory = estimate.memory_with(views, ROWS[0])?;
+        estimate.bytes = total(&memory);
+        if let Footprint::Owned(_) = footprint {
+            estimate.seconds += seconds_to_load(memory.weights);
+        }
         Ok(estimate)
     }
 
@@ -66,18 +73,19 @@ impl RunEstimate {
         self.work.computed()
     }
 
-    /// Bytes that `views` pictures take with so many tokens at a time.
-    fn bytes_with(&self, views: usize, rows: usize) -> Result<u64> {
+    /// What `views` pictures take with so many tokens at a time.
+    fn memory_with(&self, views: usize, rows: usize) -> Result<Memory> {
         let options = Options {
             gaussians: self.gaussians && self.config.gs,
             rows,
             ..Options::default()
         };
-        let memory = Memory::new(&self.config, views, self.size, &options, self.footprint);
-        Ok(memory
-            .map_err(|error| unknown(&network_problem(&error)))?
-            .total() as u64
-            + PROGRAM_BYTES)
+        Memory::new(&self.config, views, self.size, &options, self.footprint)
+            .map_err(|error| unknown(&network_problem(&error)))
+    }
+
+    fn bytes_with(&self, views: usize, rows: usize) -> Result<u64> {
+        Ok(total(&self.memory_with(views, rows)?))
     }
 
     /// The most tokens at a time with which the run fits into `limit` bytes, or, if none is given, into
@@ -130,6 +138,11 @@ impl fmt::Display for RunEstimate {
             readable_bytes(self.bytes)
         )
     }
+}
+
+/// Bytes of the program and the network.
+fn total(memory: &Memory) -> u64 {
+    PROGRAM_BYTES + memory.total() as u64
 }
 
 fn unknown(problem: &dyn fmt::Display) -> Error {
