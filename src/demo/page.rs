@@ -160,7 +160,7 @@ fn table(page: &mut String, report: &DemoReport) -> std::fmt::Result {
         // Rows without figures are headings.
         let heading = row[2].chars().all(|c| !c.is_ascii_digit());
         let tag = if heading { "th" } else { "td" };
-        let [what, before, after] = row;
+        let [what, before, after] = row.map(|cell| cell.replace('<', "&lt;"));
         writeln!(
             page,
             "<tr><{tag}>{what}</{tag}><{tag}>{before}</{tag}><{tag}>{after}</{tag}></tr>"

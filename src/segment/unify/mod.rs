@@ -44,8 +44,14 @@ use std::cmp::Reverse;
 #[derive(Clone, Debug, PartialEq, clap::Args, Serialize, Deserialize)]
 pub struct UnifyParams {
     /// Two groups of points are one instance when the projected mask of one and the mask of the
-    /// other have an IoU above ETA
-    #[arg(long, value_name = "ETA", default_value_t = 1.0 / 3.0, value_parser = parameters::share)]
+    /// other have an IoU above ETA [default: 1/3]
+    #[arg(
+        long,
+        value_name = "ETA",
+        default_value_t = 1.0 / 3.0,
+        hide_default_value = true,
+        value_parser = parameters::share
+    )]
     pub eta: f64,
     /// Two views see the same point when its depths differ by no more than this share
     #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parameters::share)]
