@@ -1,4 +1,14 @@
 //! Where networks compute.
+//!
+//! ```
+//! use tid3r_models::device::{Place, missing_for_cuda};
+//!
+//! let place = match missing_for_cuda() {
+//!     None => Place::Cuda(0),
+//!     Some(_) => Place::Cpu,
+//! };
+//! assert!(place.open().is_ok());
+//! ```
 
 use std::fmt;
 use std::str::FromStr;
