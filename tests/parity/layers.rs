@@ -158,7 +158,7 @@ pub(crate) fn decoder_block(case: &Case, comparison: &mut Comparison) -> Result<
         let nothing = x.zeros_like()?;
         let own = attn.forward_add(&norm1.forward(&x)?, rotation, &nothing)?;
         let attended = norm2.forward(&(&x + &own)?)?;
-        let queries = [cross.queries(&attended, rotation)?];
+        let queries = cross.queries(&attended, rotation)?;
         let from_others = cross.forward_add(&queries, &memories, &nothing)?;
         let out = block.forward(&[x], rotation, &memories, usize::MAX)?;
         Ok([own, from_others, out[0].clone()])

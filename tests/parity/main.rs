@@ -5,10 +5,11 @@
 //! and every case below each folder in the environment variable `PARITY_CASES` (separated like
 //! `PATH`). A case of a module that is not listed in [`runner`] fails. `--nocapture` shows the figures of
 //! all tensors. Networks with synthetic weights are computed in bf16, too, to a tolerance of its own. `PARITY_DEVICE=cuda`
-//! has networks compute on a GPU, in a build for it.
+//! has networks compute on a GPU, in a build for it, and compares the attention there with the CPU's.
 
 #![expect(clippy::print_stdout, reason = "figures are for whoever asks for them")]
 
+mod attention;
 mod case;
 mod comparison;
 mod geometry;
@@ -65,6 +66,7 @@ fn main() -> ExitCode {
             trials.extend(trials_below(&folder, arguments.nocapture));
         }
     }
+    trials.extend(attention::trials());
     libtest_mimic::run(&arguments, trials).exit_code()
 }
 

@@ -3,6 +3,8 @@
 use candle_core::{D, Result, Tensor, bail};
 
 use super::cpu::{self, HostTensor, Isa};
+#[cfg(feature = "cuda")]
+use super::cuda;
 use super::linear::product;
 use super::{Activation, Linear, Rotation};
 use crate::{ComputeType, Weights};
@@ -14,6 +16,20 @@ pub struct Memory {
     pub k: Tensor,
     /// Values.
     pub v: Tensor,
+}
+
+impl Memory {
+    /// It, for many queries: on a GPU, rounded once for all of them.
+    pub(crate) fn kept(self, compute_type: ComputeType) -> Result<Self> {
+        if !self.k.device().is_cuda() {
+            return Ok(self);
+        }
+        let dtype = compute_type.dtype();
+        Ok(Self {
+            k: self.k.to_dtype(dtype)?,
+            v: self.v.to_dtype(dtype)?,
+        })
+    }
 }
 
 /// `softmax(q k^T / sqrt(head_dim)) v` for each head, without a mask (Vaswani et al. 2017).
@@ -33,7 +49,39 @@ pub fn attention(
     heads: usize,
     compute_type: ComputeType,
 ) -> Result<Tensor> {
-    masked(q, memories, heads, None, compute_type)
+    attend(q, memories, heads, false, compute_type)
+}
+
+/// [`attention()`] of several groups, each to memories of its own: the batch of `q` is one group after the other.
+///
+/// # Errors
+///
+/// As for [`attention()`], and if the batch cannot be divided into groups.
+pub fn attention_by_group(
+    q: &Tensor,
+    memories: &[Vec<Memory>],
+    heads: usize,
+    compute_type: ComputeType,
+) -> Result<Tensor> {
+    let (batch, groups) = (q.dim(0)?, memories.len());
+    if groups == 0 || !batch.is_multiple_of(groups) {
+        bail!("a batch of {batch} is not one of {groups} groups");
+    }
+    #[cfg(feature = "cuda")]
+    if let Some(attended) = cuda::attention(q, memories, heads, false, compute_type.dtype())? {
+        return Ok(attended);
+    }
+    let batch = batch / groups;
+    let of_group = |(i, memories): (usize, &Vec<Memory>)| {
+        attention(
+            &q.narrow(0, i * batch, batch)?,
+            memories,
+            heads,
+            compute_type,
+        )
+    };
+    let attended = memories.iter().enumerate().map(of_group);
+    Tensor::cat(&attended.collect::<Result<Vec<_>>>()?, 0)
 }
 
 /// `softmax(q k^T / sqrt(head_dim)) v` for each head, where a token attends to those up to itself only.
@@ -54,35 +102,47 @@ pub fn causal_attention(
     if queries != keys {
         bail!("{queries} queries are not the tokens of {keys} keys");
     }
-    let score = |query, key| match key <= query {
-        true => 0.0,
-        false => f32::NEG_INFINITY,
-    };
-    let mask: Vec<f32> = (0..queries)
-        .flat_map(|query| (0..keys).map(move |key| score(query, key)))
-        .collect();
     let memory = Memory {
         k: k.clone(),
         v: v.clone(),
     };
-    masked(q, &[memory], heads, Some(&mask), compute_type)
+    attend(q, &[memory], heads, true, compute_type)
 }
 
-/// [`attention()`] where `mask` (queries, keys) is added to the scores of each head.
-fn masked(
+/// [`attention()`], or [`causal_attention`].
+fn attend(
     q: &Tensor,
     memories: &[Memory],
     heads: usize,
-    mask: Option<&[f32]>,
+    causal: bool,
     compute_type: ComputeType,
 ) -> Result<Tensor> {
+    #[cfg(feature = "cuda")]
+    if let Some(attended) = cuda::attention(q, &[memories], heads, causal, compute_type.dtype())? {
+        return Ok(attended);
+    }
+    let mask = match causal {
+        true => Some(causal_mask(q.dim(1)?)),
+        false => None,
+    };
     let of_host = |memory: &Memory| HostTensor::fits(&memory.k) && HostTensor::fits(&memory.v);
     if HostTensor::fits(q) && memories.iter().all(of_host) {
         let isa = Isa::current()?;
-        cpu::attention(isa, q, memories, heads, mask, compute_type.in_pairs(isa))
+        let in_pairs = compute_type.in_pairs(isa);
+        cpu::attention(isa, q, memories, heads, mask.as_deref(), in_pairs)
     } else {
-        plain(q, memories, heads, mask, compute_type)
+        plain(q, memories, heads, mask.as_deref(), compute_type)
     }
+}
+
+/// What is added to scores (tokens, tokens), so that later tokens have no weight.
+fn causal_mask(tokens: usize) -> Vec<f32> {
+    let score = |query, key| match key <= query {
+        true => 0.0,
+        false => f32::NEG_INFINITY,
+    };
+    let of_query = |query| (0..tokens).map(move |key| score(query, key));
+    (0..tokens).flat_map(of_query).collect()
 }
 
 /// Scores that exist at a time, of all heads, at most, unless those of one query are more.
@@ -268,30 +328,27 @@ impl CrossAttention {
     /// As [`Self::queries`].
     pub fn memory(&self, y: &Tensor, rotation: &Rotation) -> Result<Memory> {
         let k = self.projk.forward(y, Activation::Identity)?;
-        Ok(Memory {
+        let memory = Memory {
             k: rotation.apply(&k, self.heads)?,
             v: self.projv.forward(y, Activation::Identity)?,
-        })
+        };
+        memory.kept(self.proj.compute_type())
     }
 
-    /// `residual` plus what each group of rotated `queries` (batch, tokens, channels) finds in the
-    /// memories of the same index; `residual` is (groups * batch, tokens, channels).
+    /// `residual` plus what groups of rotated `queries` find, each in the memories of its index; both (groups *
+    /// batch, tokens, channels).
     ///
     /// # Errors
     ///
     /// If shapes do not fit each other, or a group has no memory.
     pub fn forward_add(
         &self,
-        queries: &[Tensor],
+        queries: &Tensor,
         memories: &[Vec<Memory>],
         residual: &Tensor,
     ) -> Result<Tensor> {
-        let attended = queries
-            .iter()
-            .zip(memories)
-            .map(|(q, memories)| attention(q, memories, self.heads, self.proj.compute_type()))
-            .collect::<Result<Vec<_>>>()?;
-        self.proj.forward_add(&Tensor::cat(&attended, 0)?, residual)
+        let attended = attention_by_group(queries, memories, self.heads, self.proj.compute_type())?;
+        self.proj.forward_add(&attended, residual)
     }
 }
 
@@ -423,6 +480,34 @@ mod tests {
         let (q, k) = (tokens(1, 3, 8), tokens(1, 5, 8));
         assert!(causal_attention(&q, &k, &k, 2, ComputeType::F32).is_err());
         assert!(causal_attention(&q, &q, &q, 2, ComputeType::F32).is_ok());
+    }
+
+    #[test]
+    fn groups_attend_to_their_own_memories() {
+        let q = tokens(6, 5, 8);
+        let memories = [3, 4, 7].map(|count| Memory {
+            k: tokens(2, count, 8),
+            v: tokens(2, count, 8),
+        });
+        let [a, b, c] = &memories;
+        let groups = [
+            vec![b.clone(), c.clone()],
+            vec![a.clone()],
+            memories.to_vec(),
+        ];
+        let by_group = |groups: &[Vec<Memory>]| attention_by_group(&q, groups, 2, ComputeType::F32);
+        let of_first = |groups| vec![vec![a.clone()]; groups];
+        let got = by_group(&groups).unwrap();
+        assert_eq!(got.dims(), q.dims());
+        for (i, memories) in groups.iter().enumerate() {
+            let own = q.narrow(0, 2 * i, 2).unwrap();
+            let want = attention(&own, memories, 2, ComputeType::F32).unwrap();
+            assert_eq!(flat(&got.narrow(0, 2 * i, 2).unwrap()), flat(&want));
+        }
+        assert!(by_group(&[]).is_err());
+        assert!(by_group(&of_first(3)).is_ok());
+        assert!(by_group(&of_first(4)).is_err());
+        assert!(by_group(&[vec![a.clone()], vec![b.clone()], Vec::new()]).is_err());
     }
 
     #[test]

@@ -168,7 +168,6 @@ impl DecoderBlock {
             let queries = self
                 .cross_attn
                 .queries(&self.norm2.forward(&x)?, rotation)?;
-            let queries = split(&queries, chunk)?;
             let x = self.cross_attn.forward_add(&queries, memories, &x)?;
             let x = self.mlp.forward_add(&self.norm3.forward(&x)?, &x)?;
             results.extend(split(&x, chunk)?);

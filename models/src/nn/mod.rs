@@ -37,6 +37,8 @@ mod compact_tests;
 pub mod compare;
 mod conv;
 pub mod cpu;
+#[cfg(feature = "cuda")]
+mod cuda;
 mod exchange;
 mod gated_linear;
 mod group_norm;
@@ -53,7 +55,9 @@ mod upscaling;
 mod window_attention;
 
 pub use activation::Activation;
-pub use attention::{CrossAttention, Memory, SelfAttention, attention, causal_attention};
+pub use attention::{
+    CrossAttention, Memory, SelfAttention, attention, attention_by_group, causal_attention,
+};
 pub use block::{DecoderBlock, EncoderBlock, NORM_EPS};
 pub use conv::{
     BatchNorm2d, Conv2d, ConvTranspose2d, DepthwiseConv2d, Precision, convolve_in_turn,

@@ -7,7 +7,7 @@
 //!
 //! A result depends on the instruction set, but not on the number of threads.
 //!
-//! All unsafe code of this crate, apart from the mapping of weights, is in this module: vector
+//! All unsafe code of this crate, apart from the mapping of weights and what launches kernels on GPUs, is in this module: vector
 //! instructions, reads and writes through pointers in inner loops, and threads that write disjoint
 //! parts of one array. What is callable from outside checks sizes first.
 #![expect(

@@ -43,10 +43,11 @@ impl Attention {
     ///
     /// If `tokens` have other channels.
     pub fn memory(&self, tokens: &Tensor) -> Result<Memory> {
-        Ok(Memory {
+        let memory = Memory {
             k: self.to_k.forward(tokens, Activation::Identity)?,
             v: self.to_v.forward(tokens, Activation::Identity)?,
-        })
+        };
+        memory.kept(self.to_out.compute_type())
     }
 
     /// `residual` plus what `x` finds in `memory`; both (batch, tokens, channels), the memory of the same
