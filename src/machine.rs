@@ -20,7 +20,7 @@ mod device;
 mod pace;
 
 pub use device::compute_on;
-pub(crate) use device::{device, network_memory};
+pub(crate) use device::{check_type, device, network_memory};
 pub(crate) use pace::{Pace, Reached, seconds_to_load};
 
 use serde::Serialize;

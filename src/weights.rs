@@ -1,6 +1,10 @@
 //! Weights that were found, on their way to becoming networks.
 
-use crate::{Error, error::network_problem, machine::device};
+use crate::{
+    Error,
+    error::network_problem,
+    machine::{check_type, device},
+};
 use std::fmt::Display;
 use tid3r_models::{ComputeType, Footprint, Weights};
 use tid3r_weights_convert::{Config, Found};
@@ -49,6 +53,7 @@ pub(crate) fn damaged(found: &Found, problem: &dyn Display) -> Error {
 
 /// The weights themselves, mapped, for layers that compute with this type.
 pub(crate) fn open(found: &Found, compute_type: ComputeType) -> Result<Weights, Error> {
+    check_type(compute_type)?;
     let weights = Weights::open(&found.weights, device());
     let weights = weights.map_err(|error| damaged(found, &network_problem(&error)))?;
     Ok(weights.in_type(compute_type))

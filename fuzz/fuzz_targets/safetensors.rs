@@ -12,7 +12,7 @@ fuzz_target!(|data: &[u8]| {
     let path = put("model.safetensors", data);
     if let Some(checkpoint) = heard(Checkpoint::open(&path)) {
         read_all(&checkpoint);
-        for compute_type in [ComputeType::F32, ComputeType::Bf16] {
+        for compute_type in ComputeType::ALL {
             let weights = Weights::open(&path, &Device::Cpu);
             let weights = weights.map(|weights| weights.in_type(compute_type));
             if let Ok(weights) = weights {

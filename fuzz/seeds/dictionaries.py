@@ -17,7 +17,7 @@ WORDS = {
              "frame_size edit instance instances placement by to turn_degrees scale parts merge split move duplicate 4294967295 1e308 -1 null",
     "api": "GET POST DELETE HEAD FILE /api/edits /api/estimate /api/jobs /api/gallery/ /continue /cancel /preview/ action instance instances placement by to "
            "turn_degrees scale undo redo split merge cameras view photos path orbit keys between views completion fill none see3d width 4294967295 1e308 -1 null",
-    "uploads": "GET POST DELETE /api/uploads/ /api/start /thumbnail segmenter graph mobilesamv2 dtype bf16 f32",
+    "uploads": "GET POST DELETE /api/uploads/ /api/start /thumbnail segmenter graph mobilesamv2 dtype bf16 f16 f32",
     "list": "[defaults] [[scene]] name recording photos frames test_frames layout inputs tests size measure depth_scale intrinsics clouds points cameras",
 }
 

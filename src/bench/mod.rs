@@ -35,7 +35,7 @@ mod see3d;
 use crate::{
     Error, Result,
     error::network_problem,
-    machine::{PROGRAM_BYTES, device, forget_peak_memory, peak_memory},
+    machine::{PROGRAM_BYTES, check_type, device, forget_peak_memory, peak_memory},
     progress::Progress,
     weights,
 };
@@ -75,7 +75,7 @@ pub struct BenchParams {
     /// 512x512], of LPIPS any [default: 640x480]
     #[arg(long, value_name = "WxH")]
     pub size: Option<Size>,
-    /// Type of the numbers that are computed with: f32 or bf16
+    /// Type of the numbers that are computed with: f32, bf16, or f16 on GPUs
     #[arg(long, value_name = "TYPE", default_value_t)]
     pub dtype: ComputeType,
     /// Timed runs, after one that is not timed; the median counts
@@ -337,6 +337,7 @@ impl<'a> Source<'a> {
         dtype: ComputeType,
         progress: &'a dyn Progress,
     ) -> Result<Self> {
+        check_type(dtype)?;
         let config = match found {
             None => network.released(),
             Some(found) if found.network == network => found.file.config.clone(),

@@ -154,8 +154,9 @@ pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
 /// What networks compute with, of the verbs that run some.
 #[derive(Debug, Args)]
 struct Dtype {
-    /// Type of the numbers that networks compute with: f32, or bf16, which is faster on processors with
-    /// AVX-512 BF16 and keeps two to three decimal digits. It takes least memory with weights that were converted to it
+    /// Type of the numbers that networks compute with: f32; bf16, which is faster on GPUs and on processors with AVX-512
+    /// BF16 and keeps two to three decimal digits; or f16, on GPUs only, which is as fast and keeps three. A type takes
+    /// least memory with weights that were converted to it
     #[arg(long, value_name = "TYPE", default_value_t)]
     dtype: ComputeType,
 }

@@ -4,7 +4,10 @@ use super::available_memory;
 use crate::{Error, Result, error::network_problem};
 use candle_core::Device;
 use std::sync::OnceLock;
-use tid3r_models::device::{Place, free_memory};
+use tid3r_models::{
+    ComputeType,
+    device::{Place, free_memory},
+};
 
 static DEVICE: OnceLock<Device> = OnceLock::new();
 
@@ -33,6 +36,18 @@ pub fn compute_on(place: Place) -> Result<()> {
 /// Where networks compute.
 pub(crate) fn device() -> &'static Device {
     DEVICE.get_or_init(|| Device::Cpu)
+}
+
+/// # Errors
+/// When networks do not compute with this type here.
+pub(crate) fn check_type(dtype: ComputeType) -> Result<()> {
+    if dtype.fits(device()) {
+        return Ok(());
+    }
+    Err(Error::request(
+        format!("networks compute in {dtype} on GPUs only"),
+        "on the processor, give --dtype bf16; in a build for GPUs, --device cuda",
+    ))
 }
 
 /// Memory that networks can still take where they compute, in bytes; `None` where the system does not say.

@@ -78,8 +78,34 @@ fn photos_alone_can_be_cut_in_bf16() {
         place.read_json(&format!("{dtype}/0_masks/masks.json"))["image"].clone()
     };
     assert_eq!(cut("bf16"), cut("f32"));
-    let message = place.misuse("segment --photo photos/0.png --dtype f16");
-    assert!(message.contains("neither f32 nor bf16"), "{message}");
+    let message = place.misuse("segment --photo photos/0.png --dtype f64");
+    assert!(message.contains("neither f32, bf16 nor f16"), "{message}");
+}
+
+#[test]
+fn f16_is_for_gpus() {
+    let place = place();
+    for verb in [
+        "reconstruct photos -o half --weights models/mvdust3r",
+        "segment --photo photos/0.png -o half --weights models",
+        "bench --model lpips-alex",
+    ] {
+        let message = place.fail(&format!("{verb} --dtype f16"));
+        for part in ["f16 on GPUs only", "--dtype bf16", "--device cuda"] {
+            assert!(message.contains(part), "{message}");
+        }
+        assert!(!place.path("half").exists(), "{verb}");
+    }
+    let scene = Place::with_scene();
+    let message = scene.fail("render scene --refine see3d --weights synthetic-tiny --dtype f16");
+    assert!(message.contains("f16 on GPUs only"), "{message}");
+
+    // As on GPUs, without kernels.
+    let cut = "segment --photo photos/0.png -o half --weights models";
+    let cut = format!("{cut} {MASKS} --dtype f16");
+    let (code, _, err) = place.secluded(&cut, &[("TID3R_CPU", "candle")]);
+    assert_eq!(code, 0, "{err}");
+    assert!(place.path("half/0_masks/masks.json").exists());
 }
 
 #[test]

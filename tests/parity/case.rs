@@ -22,6 +22,9 @@ const IN_BF16: f64 = 4e-2;
 /// The same for detectors: the small made-up one makes errors of its first layers thirty times as large. The
 /// one of full size stays below 1e-2.
 const IN_BF16_DETECTOR: f64 = 0.15;
+/// The same two in f16, which is eight times as precise.
+const IN_F16: f64 = 5e-3;
+const IN_F16_DETECTOR: f64 = 0.02;
 
 /// Where weights and inputs are: what `PARITY_DEVICE` says, as in `cuda`, or else the CPU.
 pub(crate) fn device() -> Result<&'static Device> {
@@ -179,16 +182,16 @@ impl Case {
     }
 
     /// The largest relative L2 error that is allowed: what the case says, else 1e-3 for a whole network
-    /// and 1e-4 for a part of one; in bf16 [`IN_BF16`].
+    /// and 1e-4 for a part of one; in 16 bits [`IN_BF16`] and [`IN_F16`].
     pub(crate) fn tolerance(&self) -> f64 {
-        match &self.file.tolerance {
-            _ if self.compute_type == ComputeType::Bf16 => match self.model() {
-                "object_aware_yolov8" => IN_BF16_DETECTOR,
-                _ => IN_BF16,
-            },
-            Some(tolerance) => tolerance.max_relative_l2,
-            None if self.file.model == "mvdust3r" => 1e-3,
-            None => 1e-4,
+        match (self.compute_type, self.model(), &self.file.tolerance) {
+            (ComputeType::Bf16, "object_aware_yolov8", _) => IN_BF16_DETECTOR,
+            (ComputeType::Bf16, ..) => IN_BF16,
+            (ComputeType::F16, "object_aware_yolov8", _) => IN_F16_DETECTOR,
+            (ComputeType::F16, ..) => IN_F16,
+            (ComputeType::F32, _, Some(tolerance)) => tolerance.max_relative_l2,
+            (ComputeType::F32, "mvdust3r", None) => 1e-3,
+            (ComputeType::F32, _, None) => 1e-4,
         }
     }
 

@@ -4,8 +4,9 @@
 //! `inputs.safetensors` and `expected.safetensors`. Every case below `tests/fixtures/cases` is run,
 //! and every case below each folder in the environment variable `PARITY_CASES` (separated like
 //! `PATH`). A case of a module that is not listed in [`runner`] fails. `--nocapture` shows the figures of
-//! all tensors. Networks with synthetic weights are computed in bf16, too, to a tolerance of its own. `PARITY_DEVICE=cuda`
-//! has networks compute on a GPU, in a build for it, and compares the attention there with the CPU's.
+//! all tensors. Networks with synthetic weights are computed in bf16, too, and in f16 where that is computed, to
+//! tolerances of their own. `PARITY_DEVICE=cuda` has networks compute on a GPU, in a build for it, and compares the
+//! attention there with the CPU's.
 
 #![expect(clippy::print_stdout, reason = "figures are for whoever asks for them")]
 
@@ -89,14 +90,14 @@ fn trials_below(root: &Path, show: bool) -> Vec<Trial> {
                 let is_root = below.as_os_str().is_empty();
                 let name = if is_root { root } else { &below };
                 let types = match Case::load(&folder) {
-                    Ok(case) if in_bf16(&case) => &ComputeType::ALL[..],
-                    _ => &[ComputeType::F32],
+                    Ok(case) if in_all_types(&case) => types_here(),
+                    _ => vec![ComputeType::F32],
                 };
                 let trial = |&compute_type: &ComputeType| {
                     let folder = folder.clone();
-                    let name = match compute_type {
-                        ComputeType::F32 => name.to_path_buf(),
-                        ComputeType::Bf16 => name.join("bf16"),
+                    let name = match compute_type.is_default() {
+                        true => name.to_path_buf(),
+                        false => name.join(compute_type.name()),
                     };
                     test(&name, Box::new(move || run(&folder, compute_type, show)))
                 };
@@ -107,8 +108,16 @@ fn trials_below(root: &Path, show: bool) -> Vec<Trial> {
     }
 }
 
-/// Whether a case is computed in bf16, too.
-fn in_bf16(case: &Case) -> bool {
+/// What networks can compute with, if there is a device at all: otherwise, each case says what is wrong.
+fn types_here() -> Vec<ComputeType> {
+    let fits = |of: &ComputeType| case::device().is_ok_and(|device| of.fits(device));
+    (ComputeType::ALL.into_iter())
+        .filter(|of| of.is_default() || fits(of))
+        .collect()
+}
+
+/// Whether a case is computed in 16 bits, too.
+fn in_all_types(case: &Case) -> bool {
     const NETWORKS: [&str; 14] = [
         "mvdust3r",
         "encoder_block",

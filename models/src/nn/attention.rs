@@ -37,7 +37,7 @@ impl Memory {
 /// `q` is (batch, queries, channels). Its tokens attend to the tokens of all `memories` together, in
 /// one softmax. A memory of a batch of 1 is the same for the whole batch of `q`. Channels are divided
 /// among `heads`, head after head. The result has the shape of `q`. Tensors may be strided; those whose
-/// last dimension is not contiguous are copied. To compute in bf16 is to round queries, keys, values and
+/// last dimension is not contiguous are copied. To compute in 16 bits is to round queries, keys, values and
 /// weights to that, on CPUs where this is faster; sums stay f32.
 ///
 /// # Errors

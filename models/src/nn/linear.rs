@@ -120,7 +120,7 @@ impl Linear {
         }
     }
 
-    /// What this computes with. In bf16, weights and inputs are rounded to that on CPUs where this is faster;
+    /// What this computes with. In 16 bits, weights and inputs are rounded to that, on CPUs where this is faster;
     /// sums stay f32.
     pub fn compute_type(&self) -> ComputeType {
         self.compute_type

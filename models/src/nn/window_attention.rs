@@ -69,7 +69,7 @@ impl ScoreBias {
 /// images with a constant. A window as large as the image is ordinary attention.
 ///
 /// The result is (batch, height, width, heads * dim). Neither scores nor biases of all tokens are ever
-/// in memory. What computing in bf16 means is as for [`attention()`](super::attention()).
+/// in memory. What computing in 16 bits means is as for [`attention()`](super::attention()).
 ///
 /// # Errors
 ///
@@ -130,8 +130,8 @@ pub(super) fn plain(
     let (k, v) = (cut(&memory.k, &beyond.k)?, cut(&memory.v, &beyond.v)?);
     // The result of queries beyond the image is dropped.
     let q = cut(q, &beyond.k)?;
-    let dtype = compute_type.dtype();
-    let (k, v) = (k.to_dtype(dtype)?, v.to_dtype(dtype)?);
+    let rounded = |x: &Tensor| x.to_dtype(compute_type.dtype());
+    let (k, v) = (rounded(&k)?, rounded(&v)?);
     let scores = product(&(&q * (dim as f64).powf(-0.5))?, &k.t()?)?;
     let scores = match bias {
         ScoreBias::None => scores,
@@ -142,8 +142,9 @@ pub(super) fn plain(
         } => {
             let shape = (windows * heads, rows, columns, dim);
             let q = q.reshape(shape)?;
-            let by_row = said(&q.transpose(0, 1)?, of_rows)?.transpose(0, 1)?;
-            let by_column = said(&q.permute((2, 1, 0, 3))?, of_columns)?.permute((2, 1, 0, 3))?;
+            let (of_rows, of_columns) = (rounded(of_rows)?, rounded(of_columns)?);
+            let by_row = said(&q.transpose(0, 1)?, &of_rows)?.transpose(0, 1)?;
+            let by_column = said(&q.permute((2, 1, 0, 3))?, &of_columns)?.permute((2, 1, 0, 3))?;
             scores
                 .reshape((windows * heads, rows, columns, rows, columns))?
                 .broadcast_add(&by_row.unsqueeze(4)?)?
@@ -168,9 +169,7 @@ fn said(q: &Tensor, table: &Tensor) -> Result<Tensor> {
     let distances: Vec<u32> = (0..n).flat_map(distances).collect();
     let distances = Tensor::new(distances, q.device())?;
     let table = table.index_select(&distances, 0)?.reshape((n, n, dim))?;
-    q.reshape((n, a * b, dim))?
-        .matmul(&table.t()?)?
-        .reshape((n, a, b, n))
+    product(&q.reshape((n, a * b, dim))?, &table.t()?)?.reshape((n, a, b, n))
 }
 
 #[cfg(test)]

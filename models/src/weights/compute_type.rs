@@ -3,11 +3,13 @@
 use std::fmt;
 use std::str::FromStr;
 
-use candle_core::DType;
+use candle_core::{DType, Device};
 use serde::{Deserialize, Serialize};
 
+use crate::nn::cpu::kernels_fit;
+
 /// The type of the numbers that layers multiply. Sums, norms, softmaxes and whatever passes from one
-/// layer to the next are in f32 in either case.
+/// layer to the next are in f32 in any case.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ComputeType {
@@ -16,11 +18,19 @@ pub enum ComputeType {
     F32,
     /// The upper half of single precision: its range, and 8 significant bits.
     Bf16,
+    /// Half precision: 11 significant bits, but no number beyond 65504. For GPUs: kernels of the CPU multiply in f32
+    /// all the same.
+    F16,
 }
 
 impl ComputeType {
     /// Every type, the default first.
-    pub const ALL: [Self; 2] = [Self::F32, Self::Bf16];
+    pub const ALL: [Self; 3] = [Self::F32, Self::Bf16, Self::F16];
+
+    /// Whether layers on `device` compute with it: f16 is for where candle's operations do.
+    pub fn fits(self, device: &Device) -> bool {
+        self != Self::F16 || !kernels_fit(device)
+    }
 
     /// Whether it is what layers compute with unless something else is asked for.
     pub fn is_default(&self) -> bool {
@@ -32,6 +42,7 @@ impl ComputeType {
         match self {
             Self::F32 => DType::F32,
             Self::Bf16 => DType::BF16,
+            Self::F16 => DType::F16,
         }
     }
 
@@ -39,7 +50,7 @@ impl ComputeType {
     pub(crate) fn bytes(self) -> usize {
         match self {
             Self::F32 => 4,
-            Self::Bf16 => 2,
+            Self::Bf16 | Self::F16 => 2,
         }
     }
 
@@ -48,6 +59,7 @@ impl ComputeType {
         match self {
             Self::F32 => "f32",
             Self::Bf16 => "bf16",
+            Self::F16 => "f16",
         }
     }
 }
@@ -63,7 +75,7 @@ impl FromStr for ComputeType {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let named = Self::ALL.into_iter().find(|of| of.name() == text);
-        named.ok_or_else(|| format!("'{text}' is neither f32 nor bf16"))
+        named.ok_or_else(|| format!("'{text}' is neither f32, bf16 nor f16"))
     }
 }
 
@@ -79,6 +91,12 @@ mod tests {
             assert_eq!(written, format!("\"{of}\""));
         }
         assert_eq!(ComputeType::default(), ComputeType::F32);
-        assert!("f16".parse::<ComputeType>().is_err());
+        assert!("f64".parse::<ComputeType>().is_err());
+    }
+
+    #[test]
+    fn kernels_leave_f16_to_gpus() {
+        let [f32, bf16, f16] = ComputeType::ALL.map(|of| of.fits(&Device::Cpu));
+        assert!(f32 && bf16 && !f16);
     }
 }

@@ -26,6 +26,8 @@ pub(super) enum Wanted {
     Stored,
     /// bf16, whatever the file has.
     Rounded,
+    /// f16, whatever the file has.
+    Halved,
 }
 
 pub(super) struct MappedFile {
@@ -103,14 +105,11 @@ impl MappedFile {
         let of_bf16 = |bytes| bf16::from_le_bytes(bytes).to_f32();
         let values = match (entry.dtype, wanted) {
             (Dtype::F32, Wanted::Single | Wanted::Stored) if aligned(4) => mapped(Kind::F32),
-            (Dtype::F16, Wanted::Stored) if aligned(2) => mapped(Kind::F16),
+            (Dtype::F16, Wanted::Stored | Wanted::Halved) if aligned(2) => mapped(Kind::F16),
             (Dtype::BF16, Wanted::Stored | Wanted::Rounded) if aligned(2) => mapped(Kind::Bf16),
-            (Dtype::F32, Wanted::Rounded) => rounded(bytes, f32::from_le_bytes),
-            (Dtype::F16, Wanted::Rounded) => rounded(bytes, of_f16),
-            (Dtype::BF16, Wanted::Rounded) => rounded(bytes, of_bf16),
-            (Dtype::F32, _) => widened(bytes, f32::from_le_bytes),
-            (Dtype::F16, _) => widened(bytes, of_f16),
-            (Dtype::BF16, _) => widened(bytes, of_bf16),
+            (Dtype::F32, _) => converted(bytes, f32::from_le_bytes, wanted),
+            (Dtype::F16, _) => converted(bytes, of_f16, wanted),
+            (Dtype::BF16, _) => converted(bytes, of_bf16, wanted),
             (other, _) => {
                 bail!("{path}: the tensor {name} is of type {other:?}, which is no float")
             }
@@ -133,19 +132,17 @@ impl MappedFile {
             ComputeType::F32 if single >= f16 + half => Footprint::Mapped(size_of::<f32>()),
             ComputeType::F32 => Footprint::Mapped(size_of::<f16>()),
             ComputeType::Bf16 if half > single + f16 => Footprint::Mapped(size_of::<bf16>()),
-            ComputeType::Bf16 => Footprint::Owned(size_of::<bf16>()),
+            ComputeType::F16 if f16 > single + half => Footprint::Mapped(size_of::<f16>()),
+            ComputeType::Bf16 | ComputeType::F16 => Footprint::Owned(compute_type.bytes()),
         }
     }
 }
 
-fn widened<const N: usize>(bytes: &[u8], value: impl Fn([u8; N]) -> f32 + Sync) -> Values {
+fn converted<const N: usize>(
+    bytes: &[u8],
+    value: impl Fn([u8; N]) -> f32 + Sync + Send,
+    wanted: Wanted,
+) -> Values {
     let (elements, _) = bytes.as_chunks::<N>();
-    Values::Single(elements.par_iter().map(|&element| value(element)).collect())
-}
-
-/// To the nearest, of two as near to the even one.
-fn rounded<const N: usize>(bytes: &[u8], value: impl Fn([u8; N]) -> f32 + Sync) -> Values {
-    let (elements, _) = bytes.as_chunks::<N>();
-    let round = |&element: &[u8; N]| bf16::from_f32(value(element));
-    Values::Rounded(elements.par_iter().map(round).collect())
+    Values::of(elements.par_iter().map(|&element| value(element)), wanted)
 }

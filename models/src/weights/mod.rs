@@ -8,8 +8,8 @@
 //! file, only what was used lately stays in this process's memory, so that a network takes less of it than
 //! its weights.
 //!
-//! [`Weights::in_type`] says what layers compute with. For bf16, the weights of linear maps and convolutions
-//! are rounded to that where the file has more.
+//! [`Weights::in_type`] says what layers compute with. For bf16 and f16, the weights of linear maps and convolutions
+//! are rounded to that where the file has others.
 
 mod compute_type;
 mod file;
@@ -25,7 +25,6 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{Device, Result, bail};
-use half::bf16;
 use rayon::prelude::*;
 
 use crate::nn::cpu::kernels_fit;
@@ -125,10 +124,10 @@ impl Weights {
     /// What the numbers of linear maps and convolutions take in memory; others are few.
     pub fn footprint(&self) -> Footprint {
         match &self.shared.source {
-            // Elsewhere, convolutions keep f32.
-            _ if !kernels_fit(&self.shared.device) => Footprint::Owned(size_of::<f32>()),
-            Source::File(file) => file.footprint(self.compute_type),
-            Source::Function(_) | Source::Names => Footprint::Owned(self.compute_type.bytes()),
+            Source::File(file) if kernels_fit(&self.shared.device) => {
+                file.footprint(self.compute_type)
+            }
+            _ => Footprint::Owned(self.compute_type.bytes()),
         }
     }
 
@@ -156,18 +155,27 @@ impl Weights {
     ///
     /// If there is none of that name, or it has another shape or a type that is no float.
     pub fn get(&self, shape: impl Into<Vec<usize>>, name: &str) -> Result<Parameter> {
-        self.read(shape.into(), name, Wanted::Single)
+        let parameter = self.read(shape.into(), name, Wanted::Single)?;
+        parameter.moved(&self.shared.device)
+    }
+
+    /// As [`Self::get`], but as it is in the file, and in the CPU's memory wherever layers compute: for those that
+    /// make something else of it before they do.
+    pub(crate) fn get_raw(&self, shape: impl Into<Vec<usize>>, name: &str) -> Result<Parameter> {
+        self.read(shape.into(), name, Wanted::Stored)
     }
 
     /// As [`Self::get`], but in what layers compute with: for f32, numbers of half precision stay as they are in the
-    /// file if the kernels of this project read them, and for bf16, others are rounded to that.
+    /// file if the kernels of this project read them, and for bf16 or f16, others are rounded to that.
     pub(crate) fn get_stored(&self, shape: impl Into<Vec<usize>>, name: &str) -> Result<Parameter> {
         let wanted = match self.compute_type {
             ComputeType::F32 if kernels_fit(&self.shared.device) => Wanted::Stored,
             ComputeType::F32 => Wanted::Single,
             ComputeType::Bf16 => Wanted::Rounded,
+            ComputeType::F16 => Wanted::Halved,
         };
-        self.read(shape.into(), name, wanted)
+        let parameter = self.read(shape.into(), name, wanted)?;
+        parameter.moved(&self.shared.device)
     }
 
     fn read(&self, shape: Vec<usize>, name: &str, wanted: Wanted) -> Result<Parameter> {
@@ -179,19 +187,13 @@ impl Weights {
                 if values.len() != shape.iter().product::<usize>() {
                     bail!("{} values were made for {name} {shape:?}", values.len());
                 }
-                match wanted {
-                    Wanted::Single | Wanted::Stored => Values::Single(values.into()),
-                    Wanted::Rounded => {
-                        Values::Rounded(values.into_par_iter().map(bf16::from_f32).collect())
-                    }
-                }
+                Values::of(values.into_par_iter(), wanted)
             }
             Source::Names => Values::Single(Arc::from([])),
         };
-        let parameter = Parameter::new(shape.clone(), values, &self.shared.device)?;
         let mut asked = (self.shared.asked.lock()).unwrap_or_else(PoisonError::into_inner);
-        asked.insert(name, shape);
-        Ok(parameter)
+        asked.insert(name, shape.clone());
+        Ok(Parameter { shape, values })
     }
 
     /// The names and shapes of all tensors that were asked for so far, whatever the prefix.

@@ -9,13 +9,14 @@ use candle_core::{Device, Result, Tensor, bail};
 use half::{bf16, f16};
 use rayon::prelude::*;
 
+use super::file::Wanted;
 use super::mapping::Mapping;
 use crate::nn::cpu::kernels_fit;
 
 /// One tensor of a network.
 #[derive(Clone, Debug)]
 pub struct Parameter {
-    shape: Vec<usize>,
+    pub(super) shape: Vec<usize>,
     pub(super) values: Values,
 }
 
@@ -32,6 +33,17 @@ pub(super) enum Values {
     Half(Arc<[f16]>),
     /// Where candle's own operations compute, in the type that they do it with.
     Device(Tensor),
+}
+
+impl Values {
+    /// These numbers as they are `wanted`: rounded to the nearest, of two as near to the even one.
+    pub(super) fn of(numbers: impl IndexedParallelIterator<Item = f32>, wanted: Wanted) -> Self {
+        match wanted {
+            Wanted::Single | Wanted::Stored => Self::Single(numbers.collect()),
+            Wanted::Rounded => Self::Rounded(numbers.map(bf16::from_f32).collect()),
+            Wanted::Halved => Self::Half(numbers.map(f16::from_f32).collect()),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,18 +85,18 @@ impl fmt::Debug for Values {
 }
 
 impl Parameter {
-    pub(super) fn new(shape: Vec<usize>, values: Values, device: &Device) -> Result<Self> {
-        let mut parameter = Self { shape, values };
-        if !kernels_fit(device) && parameter.on_host() {
-            let tensor = match parameter.numbers() {
-                Some(Numbers::Bf16(values)) => {
-                    Tensor::from_slice(values, &parameter.shape[..], device)?
-                }
-                _ => parameter.tensor()?.to_device(device)?,
+    /// The same where layers on `device` look for it.
+    pub(super) fn moved(mut self, device: &Device) -> Result<Self> {
+        if !kernels_fit(device) && self.on_host() {
+            let tensor = match self.numbers() {
+                Some(Numbers::F16(values)) => Tensor::from_slice(values, &self.shape[..], device)?,
+                Some(Numbers::Bf16(values)) => Tensor::from_slice(values, &self.shape[..], device)?,
+                _ => self.tensor()?.to_device(device)?,
             };
-            parameter.values = Values::Device(tensor);
+            self.release();
+            self.values = Values::Device(tensor);
         }
-        Ok(parameter)
+        Ok(self)
     }
 
     /// A parameter on the CPU with these values, row-major.

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use half::f16;
+use half::{bf16, f16};
 
 use super::*;
 
@@ -84,6 +84,23 @@ fn what_is_computed_in_bf16_is_rounded_to_it() {
     let made = made.get_stored([3], "x").unwrap();
     assert_eq!(*made.widened().unwrap(), [1.0, 1.0 + 4.0 / 256.0, 0.0]);
     assert!(weights.get_stored([1], "n").is_err());
+}
+
+#[test]
+fn what_is_computed_in_f16_is_rounded_to_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let weights = Weights::open(&file(&folder), &Device::Cpu).unwrap();
+    let weights = weights.in_type(ComputeType::F16);
+    for (name, kind) in [("h", "mapped F16"), ("b", "f16"), ("a", "f16")] {
+        let shape = if name == "a" { vec![2, 2] } else { vec![3] };
+        let rounded = weights.get_stored(shape, name).unwrap();
+        assert_eq!(format!("{:?}", rounded.values), kind, "{name}");
+    }
+    // Halfway between two numbers of 11 bits, the even one counts.
+    let halves = |_: &str, _: &[usize]| vec![1.0 + 1.0 / 2048.0, 1.0 + 3.0 / 2048.0, 1e-9];
+    let made = Weights::from_fn(halves, &Device::Cpu).in_type(ComputeType::F16);
+    let made = made.get_stored([3], "x").unwrap();
+    assert_eq!(*made.widened().unwrap(), [1.0, 1.0 + 4.0 / 2048.0, 0.0]);
 }
 
 #[test]

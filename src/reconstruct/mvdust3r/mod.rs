@@ -72,7 +72,7 @@ impl MvDust3rReconstructor {
                 "give those of mvdust3r or mvdust3r-plus",
             ));
         };
-        let weights = open(&found, ComputeType::F32)?;
+        let weights = open(&found, params.dtype)?;
         let this = Self {
             config,
             weights,
@@ -110,7 +110,7 @@ impl MvDust3rReconstructor {
     pub fn estimate(&self, views: usize, size: (usize, usize)) -> Result<RunEstimate> {
         let config = self.config_for(self.references(views));
         let dtype = self.params.dtype;
-        let weights = self.weights.clone().in_type(dtype).footprint();
+        let weights = self.weights.footprint();
         let gaussians = !self.params.no_gaussians;
         RunEstimate::new(&config, views, size, gaussians, weights, dtype)
     }

@@ -10,6 +10,7 @@ use super::{
 use crate::{
     Error, Result,
     edit::{self, EditList},
+    machine::check_type,
     photos::{PhotoSources, VideoParams},
     progress::{Part, Progress},
     reconstruct::{
@@ -52,6 +53,8 @@ enum SegmenterName {
 pub(in crate::viewer) struct Means {
     reconstructor: Mean,
     segmenters: [Mean; 2],
+    /// What networks can compute with.
+    dtypes: Vec<ComputeType>,
 }
 
 #[derive(Debug, Serialize)]
@@ -90,6 +93,9 @@ impl Means {
                     problem: None,
                 },
             ],
+            dtypes: (ComputeType::ALL.into_iter())
+                .filter(|dtype| check_type(*dtype).is_ok())
+                .collect(),
         }
     }
 }

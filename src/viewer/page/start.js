@@ -7,7 +7,7 @@ import { JobCard, MAKING, goesOn, listenToJobs, percent } from "./jobs.js";
 
 /** @typedef {{id: string, title: string, problem?: string}} Mean */
 /** @typedef {{folder: string, limits: import("./files.js").Limits, uploads: import("./files.js").Upload[],
- *   means: {reconstructor: Mean, segmenters: Mean[]}}} Start */
+ *   means: {reconstructor: Mean, segmenters: Mean[], dtypes: string[]}}} Start */
 
 /** @type {Start} */
 let start;
@@ -23,7 +23,7 @@ const isMaking = () => job !== undefined && goesOn(job);
 
 /** Says which weights are lacking, and what can be done about it. */
 function drawMeans() {
-  const { reconstructor, segmenters } = start.means;
+  const { reconstructor, segmenters, dtypes } = start.means;
   const lacking = find("#lacking");
   lacking.hidden = !reconstructor.problem;
   lacking.replaceChildren(
@@ -36,6 +36,7 @@ function drawMeans() {
   find("#segmenter").replaceChildren(...segmenters.map(({ id, title, problem }) =>
     el("option", { value: id, disabled: Boolean(problem) }, problem ? `${title} (no weights)` : title)));
   find("#segmenter").value = ready.some(({ id }) => id === chosen) ? chosen : ready[0].id;
+  for (const option of find("#dtype").options) option.hidden = option.disabled = !dtypes.includes(option.value);
   const missing = segmenters.find(({ problem }) => problem);
   find("#no-network").hidden = !missing;
   if (missing) {

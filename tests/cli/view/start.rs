@@ -68,6 +68,8 @@ fn dropped_photos_become_a_scene() {
     };
     assert_eq!(labels(&start), ["IMG 1.JPG", "IMG 2.JPG", "IMG 3.JPG"]);
     assert!(start["means"]["reconstructor"]["problem"].is_null());
+    // There is no GPU.
+    assert_eq!(start["means"]["dtypes"], serde_json::json!(["f32", "bf16"]));
     // The server may end; what has arrived is there.
     drop(server);
     let server = Server::start(&place, "--weights models");

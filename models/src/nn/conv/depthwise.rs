@@ -166,9 +166,9 @@ impl DepthwiseConv2d {
         let (padding, channels) = (weight.dim(2)? / 2, weight.dim(0)?);
         x.permute((0, 3, 1, 2))?
             .contiguous()?
-            .conv2d(&weight, padding, self.stride, 1, channels)?
+            .conv2d(weight, padding, self.stride, 1, channels)?
             .permute((0, 2, 3, 1))?
-            .broadcast_add(&bias)?
+            .broadcast_add(bias)?
             .contiguous()
     }
 }

@@ -400,20 +400,23 @@ impl Conv2d {
             after,
             ..
         } = self.steps;
-        let dtype = self.parameters.compute_type().dtype();
-        // On a CPU, candle convolves in f32 only.
-        let rounded = |x: &Tensor| match x.to_dtype(dtype)? {
-            x if x.device().is_cpu() => x.to_dtype(DType::F32),
-            x => Ok(x),
+        let rounded = weight.dtype();
+        // On a CPU, candle does not convolve in bf16.
+        let multiplied = match x.device().is_cpu() {
+            true => DType::F32,
+            false => rounded,
         };
-        rounded(&x.permute((0, 3, 1, 2))?)?
+        x.permute((0, 3, 1, 2))?
+            .to_dtype(rounded)?
             .pad_with_zeros(2, before, after)?
             .pad_with_zeros(3, before, after)?
             .contiguous()?
-            .conv2d(&rounded(&weight)?, 0, stride, 1, 1)?
+            .to_dtype(multiplied)?
+            .conv2d(&weight.to_dtype(multiplied)?, 0, stride, 1, 1)?
+            .to_dtype(rounded)?
             .to_dtype(x.dtype())?
             .permute((0, 2, 3, 1))?
-            .broadcast_add(&bias)?
+            .broadcast_add(bias)?
             .contiguous()
     }
 }

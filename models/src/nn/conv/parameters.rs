@@ -1,20 +1,26 @@
 //! Weights, bias and the norm that follows.
 
-use candle_core::{Result, Tensor, bail};
+use std::sync::{Arc, OnceLock};
+
+use candle_core::{Device, Result, Tensor, bail};
 
 use super::BatchNorm2d;
+use crate::nn::cpu::kernels_fit;
 use crate::{ComputeType, Parameter, Weights};
 
 /// What a convolution multiplies with and adds. A norm is folded in when weights are laid out for a
-/// kernel, so that until then they stay where they were read from.
+/// kernel, or go to where candle's operations compute, so that until then they stay where they were read from.
 #[derive(Clone, Debug)]
 pub(super) struct Parameters {
-    /// (outputs, ..).
+    /// (outputs, ..), on the CPU.
     weight: Parameter,
     /// (outputs).
     bias: Option<Parameter>,
     norm: Option<BatchNorm2d>,
     compute_type: ComputeType,
+    device: Device,
+    /// See [`Self::tensors`].
+    tensors: Arc<OnceLock<(Tensor, Tensor)>>,
 }
 
 /// Parameters with the norm folded in, in the CPU's memory.
@@ -31,13 +37,14 @@ impl Parameters {
     /// (outputs).
     pub(super) fn new(shape: &[usize], bias: bool, weights: &Weights) -> Result<Self> {
         let bias = bias.then(|| weights.get([shape[0]], "bias"));
-        // Rounded once, after the norm is folded in.
-        let stored = weights.clone().in_type(ComputeType::F32);
         Ok(Self {
-            weight: stored.get_stored(shape, "weight")?,
+            // Rounded once, after the norm is folded in.
+            weight: weights.get_raw(shape, "weight")?,
             bias: bias.transpose()?,
             norm: None,
             compute_type: weights.compute_type(),
+            device: weights.device().clone(),
+            tensors: Arc::default(),
         })
     }
 
@@ -55,6 +62,7 @@ impl Parameters {
         }
         Ok(Self {
             norm: Some(norm.clone()),
+            tensors: Arc::default(),
             ..self.clone()
         })
     }
@@ -73,9 +81,9 @@ impl Parameters {
         self.shape()[0]
     }
 
-    /// Whether there are any, and on the CPU.
+    /// Whether there are any, for kernels of the CPU.
     pub(super) fn on_host(&self) -> bool {
-        self.weight.on_host()
+        kernels_fit(&self.device) && self.weight.on_host()
     }
 
     /// If they are on the CPU.
@@ -87,7 +95,9 @@ impl Parameters {
         };
         let Some(norm) = &self.norm else {
             let weight = match self.compute_type {
-                ComputeType::F32 => self.weight.numbers().map(|_| self.weight.clone()),
+                ComputeType::F32 | ComputeType::F16 => {
+                    self.weight.numbers().map(|_| self.weight.clone())
+                }
                 ComputeType::Bf16 => self.weight.rounded(),
             };
             return weight.map(|weight| Folded { weight, bias });
@@ -110,14 +120,26 @@ impl Parameters {
         let weight = match self.compute_type {
             ComputeType::F32 => weight,
             // In bf16, what is multiplied with will be rounded anyway, and is rounded once.
-            ComputeType::Bf16 => weight.halved(),
+            ComputeType::Bf16 | ComputeType::F16 => weight.halved(),
         };
         Some(Folded { weight, bias })
     }
 
-    /// Weight and bias with the norm folded in, as candle's tensors, where they are.
-    pub(super) fn tensors(&self) -> Result<(Tensor, Tensor)> {
-        let weight = self.weight.tensor()?;
+    /// Weight, in what is computed with, and bias, in f32, with the norm folded in, as candle's tensors where it
+    /// computes. They are made when they are first needed, and shared by clones.
+    pub(super) fn tensors(&self) -> Result<&(Tensor, Tensor)> {
+        if let Some(tensors) = self.tensors.get() {
+            return Ok(tensors);
+        }
+        let (weight, bias) = self.folded_tensors()?;
+        self.weight.release();
+        let tensors = (weight.to_dtype(self.compute_type.dtype())?, bias);
+        Ok(self.tensors.get_or_init(|| tensors))
+    }
+
+    /// Both in f32.
+    fn folded_tensors(&self) -> Result<(Tensor, Tensor)> {
+        let weight = self.weight.tensor()?.to_device(&self.device)?;
         let bias = match &self.bias {
             Some(bias) => bias.tensor()?,
             None => Tensor::zeros(self.outputs(), weight.dtype(), weight.device())?,

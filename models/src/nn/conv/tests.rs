@@ -1,11 +1,25 @@
 use candle_core::Device;
 
 use super::*;
+use crate::ComputeType;
 
 fn weights() -> Weights {
     let make = |name: &str, shape: &[usize]| {
         let value = |i: usize| ((i * 7919 + name.len()) % 23) as f32 / 23.0 - 0.4;
         (0..shape.iter().product()).map(value).collect()
+    };
+    Weights::from_fn(make, &Device::Cpu)
+}
+
+/// Those of norms.
+fn norms() -> Weights {
+    let make = |name: &str, shape: &[usize]| {
+        let mut values = match name {
+            "running_var" => vec![0.5, 2.0, 1.0, 4.0, 0.3],
+            _ => vec![0.1, -0.2, 1.5, name.len() as f32, 0.7],
+        };
+        values.truncate(shape[0]);
+        values
     };
     Weights::from_fn(make, &Device::Cpu)
 }
@@ -206,11 +220,7 @@ fn what_does_not_fit_is_refused() {
 #[test]
 fn a_folded_norm_is_the_norm() {
     let conv = conv(3, 4, 3);
-    let make = |name: &str, _: &[usize]| match name {
-        "running_var" => vec![0.5, 2.0, 1.0, 4.0],
-        _ => vec![0.1, -0.2, 1.5, name.len() as f32],
-    };
-    let norm = BatchNorm2d::new(4, 1e-5, &Weights::from_fn(make, &Device::Cpu)).unwrap();
+    let norm = BatchNorm2d::new(4, 1e-5, &norms()).unwrap();
     let x = image((1, 5, 4, 3));
     let got = conv
         .folded(&norm)
@@ -234,6 +244,38 @@ fn a_folded_norm_is_the_norm() {
     );
     let other = BatchNorm2d::new(5, 1e-5, &weights()).unwrap();
     assert!(conv.folded(&other).is_err());
+}
+
+#[test]
+fn candle_convolves_what_is_folded_and_then_rounded() {
+    let norm = BatchNorm2d::new(5, 1e-5, &norms()).unwrap();
+    let folded = |compute_type| {
+        let conv = Conv2d::new(6, 5, 3, &weights().in_type(compute_type)).unwrap();
+        conv.folded(&norm).unwrap()
+    };
+    let (x, exact) = (image((2, 9, 6, 6)), folded(ComputeType::F32));
+    let (weight, bias) = exact.parameters.tensors().unwrap();
+    for (compute_type, dtype) in [
+        (ComputeType::Bf16, DType::BF16),
+        (ComputeType::F16, DType::F16),
+    ] {
+        let conv = folded(compute_type);
+        let got = conv.plain(&x).unwrap();
+        let rounded = |x: &Tensor| x.to_dtype(dtype)?.to_dtype(DType::F32);
+        let want = rounded(&x.permute((0, 3, 1, 2)).unwrap())
+            .and_then(|x| rounded(&x.conv2d(&rounded(weight)?, 1, 1, 1, 1)?))
+            .and_then(|y| y.permute((0, 2, 3, 1))?.broadcast_add(bias))
+            .unwrap();
+        assert_eq!(error(&got, &want), 0.0, "{compute_type}");
+        let (held, _) = conv.clone().parameters.tensors().unwrap().clone();
+        assert_eq!(held.dtype(), dtype);
+        // The bias is not rounded.
+        let nothing = conv.plain(&x.zeros_like().unwrap()).unwrap();
+        assert_eq!(
+            error(&nothing, &bias.broadcast_as(nothing.shape()).unwrap()),
+            0.0
+        );
+    }
 }
 
 #[test]
