@@ -4,6 +4,7 @@ use super::{Correspondence, PnpParams, p3p::p3p};
 use crate::geometry::{Intrinsics, Pose, Vector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::array;
 
 /// Hypotheses are compared on no more points than these, drawn once for all of them.
 const COMPARED: usize = 4096;
@@ -47,7 +48,7 @@ pub(super) fn search(
             intrinsics.unproject(u, v, 1.0).coords.normalize()
         })
         .collect();
-    let compared = sample(seen, &mut rng);
+    let compared = Columns::new(&sample(seen, &mut rng));
     let judge = Judge::new(intrinsics, params);
     // The best ones, best first.
     let mut finalists: Vec<(f64, Pose)> = Vec::with_capacity(FINALISTS + 1);
@@ -66,7 +67,7 @@ pub(super) fn search(
             finalists.insert(place, (cost, pose));
             finalists.truncate(FINALISTS);
             if place == 0 {
-                let share = agreeing as f64 / compared.len() as f64;
+                let share = agreeing as f64 / compared.count as f64;
                 needed = tries_for(share, params.confidence);
             }
         }
@@ -119,6 +120,44 @@ fn three(count: usize, rng: &mut ChaCha8Rng) -> [usize; 3] {
     }
 }
 
+/// Correspondences by coordinate.
+struct Columns {
+    count: usize,
+    groups: Vec<Group>,
+}
+
+const LANES: usize = 32;
+
+/// Points, and the pixels that see them; what lacks to a full group is NaN, and agrees with no pose.
+struct Group {
+    x: [f64; LANES],
+    y: [f64; LANES],
+    z: [f64; LANES],
+    u: [f64; LANES],
+    v: [f64; LANES],
+}
+
+impl Columns {
+    fn new(seen: &[Correspondence]) -> Self {
+        let group = |seen: &[Correspondence]| {
+            let column = |number: fn(&Correspondence) -> f64| {
+                array::from_fn(|k| seen.get(k).map_or(f64::NAN, number))
+            };
+            Group {
+                x: column(|c| c.point.x),
+                y: column(|c| c.point.y),
+                z: column(|c| c.point.z),
+                u: column(|c| c.pixel[0]),
+                v: column(|c| c.pixel[1]),
+            }
+        };
+        Self {
+            count: seen.len(),
+            groups: seen.chunks(LANES).map(group).collect(),
+        }
+    }
+}
+
 struct Judge<'a> {
     intrinsics: &'a Intrinsics,
     /// The squared error from which a point is an outlier.
@@ -141,15 +180,29 @@ impl<'a> Judge<'a> {
     }
 
     /// Cost and number of inliers; `None` as soon as the cost is above `bound`.
-    fn score(&self, seen: &[Correspondence], pose: &Pose, bound: f64) -> Option<(f64, usize)> {
+    fn score(&self, seen: &Columns, pose: &Pose, bound: f64) -> Option<(f64, usize)> {
+        let Intrinsics { fx, fy, cx, cy, .. } = *self.intrinsics;
+        let turn = pose.rotation.to_rotation_matrix();
+        let shift = pose.translation.vector;
+        let row = |axis: usize, x: f64, y: f64, z: f64| {
+            turn[(axis, 0)] * x + turn[(axis, 1)] * y + turn[(axis, 2)] * z + shift[axis]
+        };
         let (mut cost, mut agreeing) = (0.0, 0);
-        for c in seen {
-            match self.error(c, pose) {
-                Some(error) => {
-                    cost += error;
-                    agreeing += 1;
-                }
-                None => cost += self.limit,
+        for Group { x, y, z, u, v } in &seen.groups {
+            // The same steps for all, without branches, as vector units want it.
+            let mut errors = [f64::INFINITY; LANES];
+            for k in 0..LANES {
+                let depth = row(2, x[k], y[k], z[k]);
+                let du = fx * row(0, x[k], y[k], z[k]) / depth + cx - u[k];
+                let dv = fy * row(1, x[k], y[k], z[k]) / depth + cy - v[k];
+                let error = du * du + dv * dv;
+                errors[k] = if depth > 0.0 { error } else { f64::INFINITY };
+            }
+            for error in errors {
+                // False for NaN.
+                let agrees = error <= self.limit;
+                agreeing += usize::from(agrees);
+                cost += if agrees { error } else { self.limit };
             }
             if cost > bound {
                 return None;
@@ -178,6 +231,45 @@ mod tests {
         assert_eq!(tries_for(0.5, 0.99), 35);
         assert_eq!(tries_for(1.0, 0.99), 0);
         assert_eq!(tries_for(0.0, 0.99), usize::MAX);
+    }
+
+    #[test]
+    fn scores_are_the_sums_of_errors() {
+        let intrinsics = Intrinsics {
+            width: 64,
+            height: 48,
+            fx: 50.0,
+            fy: 55.0,
+            cx: 32.0,
+            cy: 24.0,
+        };
+        let judge = Judge::new(&intrinsics, &PnpParams::default());
+        let pose = Pose::new(Vector::new(0.1, -0.2, 0.3), Vector::new(0.2, 0.1, -0.1));
+        // Some behind the camera, some seen where they should be, others off by up to 12 pixels.
+        let seen: Vec<Correspondence> = (0..70)
+            .map(|k| {
+                let k = f64::from(k);
+                let point = [k.sin(), (2.0 * k).cos(), 3.0 * (0.7 * k).sin() + 1.5].into();
+                let pixel = intrinsics.project(&(pose * point)).unwrap_or([1.0; 2]);
+                let off = 12.0 * (0.4 * k).sin().max(0.0);
+                Correspondence {
+                    point,
+                    pixel: [pixel[0] + off, pixel[1]],
+                }
+            })
+            .collect();
+        let whole = judge.consensus(&seen, &pose);
+        assert!((10..60).contains(&whole.count()), "{}", whole.count());
+        let columns = Columns::new(&seen);
+        let (cost, agreeing) = judge.score(&columns, &pose, f64::INFINITY).unwrap();
+        assert_eq!(agreeing, whole.count());
+        let missing = (columns.groups.len() * LANES - seen.len()) as f64;
+        let expected = whole.cost + missing * judge.limit;
+        assert!(
+            (cost - expected).abs() < 1e-9 * expected,
+            "{cost} {expected}"
+        );
+        assert_eq!(judge.score(&columns, &pose, 0.5 * cost), None);
     }
 
     #[test]
