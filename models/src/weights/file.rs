@@ -9,7 +9,6 @@ use std::sync::Arc;
 
 use candle_core::{Error, Result, bail};
 use half::{bf16, f16};
-use rayon::prelude::*;
 use safetensors::{Dtype, SafeTensors};
 
 use super::ComputeType;
@@ -107,9 +106,9 @@ impl MappedFile {
             (Dtype::F32, Wanted::Single | Wanted::Stored) if aligned(4) => mapped(Kind::F32),
             (Dtype::F16, Wanted::Stored | Wanted::Halved) if aligned(2) => mapped(Kind::F16),
             (Dtype::BF16, Wanted::Stored | Wanted::Rounded) if aligned(2) => mapped(Kind::Bf16),
-            (Dtype::F32, _) => converted(bytes, f32::from_le_bytes, wanted),
-            (Dtype::F16, _) => converted(bytes, of_f16, wanted),
-            (Dtype::BF16, _) => converted(bytes, of_bf16, wanted),
+            (Dtype::F32, _) => Values::of(bytes.as_chunks().0, f32::from_le_bytes, wanted),
+            (Dtype::F16, _) => Values::of(bytes.as_chunks().0, of_f16, wanted),
+            (Dtype::BF16, _) => Values::of(bytes.as_chunks().0, of_bf16, wanted),
             (other, _) => {
                 bail!("{path}: the tensor {name} is of type {other:?}, which is no float")
             }
@@ -136,13 +135,4 @@ impl MappedFile {
             ComputeType::Bf16 | ComputeType::F16 => Footprint::Owned(compute_type.bytes()),
         }
     }
-}
-
-fn converted<const N: usize>(
-    bytes: &[u8],
-    value: impl Fn([u8; N]) -> f32 + Sync + Send,
-    wanted: Wanted,
-) -> Values {
-    let (elements, _) = bytes.as_chunks::<N>();
-    Values::of(elements.par_iter().map(|&element| value(element)), wanted)
 }

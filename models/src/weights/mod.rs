@@ -12,6 +12,7 @@
 //! are rounded to that where the file has others.
 
 mod compute_type;
+mod conversion;
 mod file;
 mod footprint;
 mod mapping;
@@ -25,7 +26,6 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{Device, Result, bail};
-use rayon::prelude::*;
 
 use crate::nn::cpu::kernels_fit;
 use file::{MappedFile, Wanted};
@@ -187,7 +187,7 @@ impl Weights {
                 if values.len() != shape.iter().product::<usize>() {
                     bail!("{} values were made for {name} {shape:?}", values.len());
                 }
-                Values::of(values.into_par_iter(), wanted)
+                Values::of(&values, |x| x, wanted)
             }
             Source::Names => Values::Single(Arc::from([])),
         };

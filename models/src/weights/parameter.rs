@@ -9,6 +9,7 @@ use candle_core::{Device, Result, Tensor, bail};
 use half::{bf16, f16};
 use rayon::prelude::*;
 
+use super::conversion::{converted, nearest_bf16};
 use super::file::Wanted;
 use super::mapping::Mapping;
 use crate::nn::cpu::kernels_fit;
@@ -37,11 +38,15 @@ pub(super) enum Values {
 
 impl Values {
     /// These numbers as they are `wanted`: rounded to the nearest, of two as near to the even one.
-    pub(super) fn of(numbers: impl IndexedParallelIterator<Item = f32>, wanted: Wanted) -> Self {
+    pub(super) fn of<T: Copy + Sync>(
+        numbers: &[T],
+        value: impl Fn(T) -> f32 + Sync,
+        wanted: Wanted,
+    ) -> Self {
         match wanted {
-            Wanted::Single | Wanted::Stored => Self::Single(numbers.collect()),
-            Wanted::Rounded => Self::Rounded(numbers.map(bf16::from_f32).collect()),
-            Wanted::Halved => Self::Half(numbers.map(f16::from_f32).collect()),
+            Wanted::Single | Wanted::Stored => Self::Single(converted(numbers, value)),
+            Wanted::Rounded => Self::Rounded(converted(numbers, |x| nearest_bf16(value(x)))),
+            Wanted::Halved => Self::Half(converted(numbers, |x| f16::from_f32(value(x)))),
         }
     }
 }
@@ -182,11 +187,8 @@ impl Parameter {
     /// without a copy if they are bf16.
     pub(crate) fn rounded(&self) -> Option<Self> {
         let values = match self.numbers()? {
-            Numbers::F32(values) => values.par_iter().map(|&x| bf16::from_f32(x)).collect(),
-            Numbers::F16(values) => {
-                let round = |x: &f16| bf16::from_f32(x.to_f32());
-                values.par_iter().map(round).collect()
-            }
+            Numbers::F32(values) => converted(values, nearest_bf16),
+            Numbers::F16(values) => converted(values, |x| nearest_bf16(x.to_f32())),
             Numbers::Bf16(_) => return Some(self.clone()),
         };
         self.release();
@@ -203,7 +205,7 @@ impl Parameter {
         let fits = |values: &[f32]| values.par_iter().all(|x| x.abs() <= f16::MAX.to_f32());
         let values = match self.values {
             Values::Single(values) if fits(&values) => {
-                Values::Half(values.par_iter().map(|&x| f16::from_f32(x)).collect())
+                Values::Half(converted(&values, f16::from_f32))
             }
             values => values,
         };
