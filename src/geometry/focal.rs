@@ -18,7 +18,7 @@ pub enum FocalError {
     NoPoints,
     /// The best fit is not the focal length of any lens.
     #[error("the points fit no lens: they want a focal length of {0:.3} pixels")]
-    NotPositive(f64),
+    NoLens(f64),
 }
 
 /// The one focal length for both axes, in pixels, that minimises `sum |u - f q|` over the true pixels
@@ -130,7 +130,7 @@ fn positive(focal: f64) -> Result<f64, FocalError> {
     if focal > 0.0 && focal.is_finite() {
         Ok(focal)
     } else {
-        Err(FocalError::NotPositive(focal))
+        Err(FocalError::NoLens(focal))
     }
 }
 
@@ -220,7 +220,7 @@ mod tests {
             estimate_focal(&mirrored, &mask, 10),
             robust_focal(&mirrored, &mask),
         ] {
-            assert!(matches!(result, Err(FocalError::NotPositive(f)) if f < 0.0));
+            assert!(matches!(result, Err(FocalError::NoLens(f)) if f < 0.0));
         }
         let nothing = points.map(|_| false);
         assert_eq!(
@@ -231,7 +231,7 @@ mod tests {
         let origin = points.map(|_| [0.0; 3]);
         assert!(matches!(
             estimate_focal(&origin, &mask, 10),
-            Err(FocalError::NotPositive(_))
+            Err(FocalError::NoLens(_))
         ));
         assert_eq!(robust_focal(&origin, &mask), Err(FocalError::NoPoints));
         let small = Map::filled(2, 2, true);

@@ -7,6 +7,7 @@ use crate::{
         estimate_focal, robust_focal, solve_pnp, solve_pnp_and_focal,
     },
     parameters,
+    photos::KnownLens,
     progress::Progress,
 };
 use rayon::prelude::*;
@@ -207,17 +208,21 @@ fn first_focal(pointmap: &Pointmap, robust: bool) -> Result<f64, FocalError> {
     let threshold = least_confidence(own, |count| count * 0.03);
     let mask = pointmap.confidence.map(|&c| c >= threshold);
     let votes = robust_focal(&pointmap.points, &mask);
-    if robust {
-        return votes;
-    }
     let iterated = estimate_focal(&pointmap.points, &mask, WEISZFELD_STEPS);
-    match (iterated, votes) {
+    let focal = match (iterated, votes) {
+        (_, votes) if robust => votes,
         (Ok(iterated), Ok(votes)) => {
             let off = (iterated / votes).max(votes / iterated);
             Ok(if off < SPOILT { iterated } else { votes })
         }
         (Err(_), Ok(votes)) => Ok(votes),
         (iterated, Err(_)) => iterated,
+    }?;
+    // The views are not searched for poses behind a lens that there is not.
+    let size = [pointmap.points.width(), pointmap.points.height()];
+    match KnownLens::Focal(focal).on_photo(size) {
+        Ok(_) => Ok(focal),
+        Err(_) => Err(FocalError::NoLens(focal)),
     }
 }
 

@@ -29,7 +29,7 @@ pub(crate) fn estimate_focals(case: &Case, comparison: &mut Comparison) -> Resul
         let mask = numbers(case.input(&format!("mask_{scene}"))?)?.map(|&m| m != 0.0);
         let focal = match estimate_focal(&points, &mask, iterations) {
             // The original ends at 0 there.
-            Err(FocalError::NotPositive(_)) => 0.0,
+            Err(FocalError::NoLens(_)) => 0.0,
             focal => focal?,
         };
         comparison.check(name, &scalar(focal)?);

@@ -13,7 +13,7 @@ use crate::{
     Error, Map, Result,
     error::network_problem,
     geometry::Intrinsics,
-    photos::{KnownLens, Photo},
+    photos::Photo,
     progress::Progress,
     reconstruct::{
         FocalOrigin, PlacedPhoto, Placement, Pointmap, Reconstruction, Reconstructor,
@@ -207,13 +207,7 @@ impl MvDust3rReconstructor {
             Err(RecoveryError::Focal(reason)) => Some(reason.to_string()),
             _ => None,
         };
-        let points = &pointmaps[0].points;
-        let is_no_lens = |focal: f64| {
-            let size = [points.width(), points.height()];
-            KnownLens::Focal(focal).on_photo(size).err()
-        };
-        let problem = recovered.views.iter().find_map(lacks_focal);
-        let Some(reason) = problem.or_else(|| recovered.shared_focal.and_then(is_no_lens)) else {
+        let Some(reason) = recovered.views.iter().find_map(lacks_focal) else {
             return Ok((recovered, FocalOrigin::Recovered));
         };
         tracing::warn!(

@@ -354,23 +354,27 @@ fn views_without_a_camera_say_why_and_leave_the_others_alone() {
 
 #[test]
 fn without_a_focal_length_only_known_lenses_have_cameras() {
-    let mut pointmaps = scene().pointmaps(Errors::default(), 3);
-    pointmaps[0].points = pointmaps[0].points.map(|&[x, y, z]| [-x, -y, z]);
+    let exact = scene().pointmaps(Errors::default(), 3);
     let known = [None, Some(scene().cameras[1].intrinsics), None, None];
-    let params = RecoveryParams::default();
-    let recovery = recover_cameras(&pointmaps, &known, &params, 5, &Silent).unwrap();
-    let without: Vec<bool> = recovery
-        .views
-        .iter()
-        .map(|view| view.outcome.is_err())
-        .collect();
-    assert_eq!(without, [true, false, true, true]);
-    let error = recovery.views[2].outcome.as_ref().unwrap_err();
-    assert!(matches!(
-        error,
-        RecoveryError::Focal(FocalError::NotPositive(_))
-    ));
-    assert!(error.to_string().contains("first photo"));
+    // Turned round, and seen at 89.9 degrees from the axis.
+    for factor in [-1.0, 1000.0] {
+        let mut pointmaps = exact.clone();
+        pointmaps[0].points = pointmaps[0]
+            .points
+            .map(|&[x, y, z]| [factor * x, factor * y, z]);
+        let params = RecoveryParams::default();
+        let recovery = recover_cameras(&pointmaps, &known, &params, 5, &Silent).unwrap();
+        let without: Vec<bool> = recovery
+            .views
+            .iter()
+            .map(|view| view.outcome.is_err())
+            .collect();
+        assert_eq!(without, [true, false, true, true]);
+        assert_eq!(recovery.shared_focal, None);
+        let error = recovery.views[2].outcome.as_ref().unwrap_err();
+        assert!(matches!(error, RecoveryError::Focal(FocalError::NoLens(_))));
+        assert!(error.to_string().contains("first photo"));
+    }
 }
 
 #[test]
