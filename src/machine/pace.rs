@@ -15,10 +15,11 @@ pub(crate) struct Reached {
 
 /// Of a GPU's best with large products, what networks reach. Nobody has measured it yet.
 const REACHED_ON_GPUS: f64 = 0.25;
-/// Bytes of weights that are brought to another type in a second, by measurement. What a GPU takes, nobody has measured.
-const LOADED_IN_A_SECOND: f64 = 1.2e9;
+/// Bytes of weights in a second that are brought to where products find them: rounded at start, or read from a mapped
+/// file and laid out as they are used. By measurement; what a GPU takes, nobody has measured.
+const LOADED_IN_A_SECOND: f64 = 2.2e9;
 
-/// Seconds until so many bytes of weights are there that cannot be used as the file has them.
+/// Seconds that so many bytes of weights take besides the products with them.
 pub(crate) fn seconds_to_load(bytes: usize) -> f64 {
     bytes as f64 / LOADED_IN_A_SECOND
 }

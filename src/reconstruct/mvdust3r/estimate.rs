@@ -28,10 +28,18 @@ pub struct RunEstimate {
     pub bytes: u64,
 }
 
+/// Of the network with one reference view.
 const REACHED: Reached = Reached {
-    f32: 0.66,
+    f32: 0.71,
     bf16: 1.0,
 };
+/// Of that with several, which multiplies more rows with the same weights.
+const REACHED_WITH_SEVERAL: Reached = Reached {
+    f32: 0.77,
+    bf16: 1.05,
+};
+/// What a photo takes besides the network, by measurement: to be read and ordered, to get its camera, to be written.
+const SECONDS_PER_PHOTO: f64 = 0.1;
 /// Tokens at a time, from what is fast to what is small.
 const ROWS: [usize; 5] = [4096, 2048, 1024, 512, 1];
 
@@ -50,6 +58,11 @@ impl RunEstimate {
     ) -> Result<Self> {
         let work = Work::new(config, views, size, Paths::First, gaussians && config.gs);
         let pace = Pace::measured(dtype).map_err(|error| unknown(&network_problem(&error)))?;
+        let reached = match config.m_ref_flag {
+            true => REACHED_WITH_SEVERAL,
+            false => REACHED,
+        };
+        let computing = pace.seconds(work.computed(), reached);
         let mut estimate = Self {
             config: config.clone(),
             views,
@@ -57,14 +70,16 @@ impl RunEstimate {
             gaussians,
             footprint,
             work,
-            seconds: pace.seconds(work.computed(), REACHED),
+            seconds: computing + SECONDS_PER_PHOTO * views as f64,
             bytes: 0,
         };
-        let memory = estimate.memory_with(views, ROWS[0])?;
-        estimate.bytes = total(&memory);
-        if let Footprint::Owned(_) = footprint {
-            estimate.seconds += seconds_to_load(memory.weights);
-        }
+        estimate.bytes = estimate.bytes_with(views, ROWS[0])?;
+        let (Footprint::Owned(size) | Footprint::Mapped(size)) = footprint;
+        let in_memory = Self {
+            footprint: Footprint::Owned(size),
+            ..estimate.clone()
+        };
+        estimate.seconds += seconds_to_load(in_memory.memory_with(views, ROWS[0])?.weights);
         Ok(estimate)
     }
 

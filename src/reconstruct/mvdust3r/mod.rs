@@ -143,10 +143,10 @@ impl MvDust3rReconstructor {
     fn look(&self, sights: &[&Sight], progress: &dyn Progress) -> Result<Vec<ViewOutput>> {
         let views = sights.len();
         let size = sights[0].size();
-        let network = self.network(self.references(views), self.params.dtype)?;
         let estimate = self.estimate(views, size)?;
         let rows = estimate.rows_within(self.max_memory)?;
         progress.note(&estimate.to_string());
+        let network = self.network(self.references(views), self.params.dtype)?;
         let options = Options {
             gaussians: !self.params.no_gaussians && self.config.gs,
             rows,
