@@ -245,7 +245,7 @@ fn convolutions() -> Result<Vec<Comparison>> {
         )?,
         Comparison::new(
             "depthwise convolution 3x3 of 64x64, 256 channels",
-            15.0,
+            3.0,
             (
                 DepthwiseConv2d::new(256, 3, &weights())?,
                 input(&[1, 64, 64, 256])?,

@@ -160,16 +160,35 @@ impl DepthwiseConv2d {
         prepared.as_ref().map_err(|e| Error::Msg(e.clone()))
     }
 
-    /// The convolution by candle's own operations.
+    /// The convolution by candle's own operations: a sum over the places of a window, of all channels at once. Its
+    /// convolutions in groups would launch some kernels for each channel.
     pub(in crate::nn) fn plain(&self, x: &Tensor) -> Result<Tensor> {
         let (weight, bias) = self.parameters.tensors()?;
-        let (padding, channels) = (weight.dim(2)? / 2, weight.dim(0)?);
-        x.permute((0, 3, 1, 2))?
+        let (kernel, stride) = (self.kernel(), self.stride);
+        let (batch, height, width, channels) = x.dims4()?;
+        let (rows, columns) = (height.div_ceil(stride), width.div_ceil(stride));
+        // With whole strides in both directions, every `stride`-th pixel is a row or column of another shape.
+        let before = kernel / 2;
+        let more = (kernel - 1).div_ceil(stride);
+        let [down, right] = [rows + more, columns + more];
+        let x = x
+            .pad_with_zeros(1, before, down * stride - before - height)?
+            .pad_with_zeros(2, before, right * stride - before - width)?
             .contiguous()?
-            .conv2d(weight, padding, self.stride, 1, channels)?
-            .permute((0, 2, 3, 1))?
-            .broadcast_add(bias)?
-            .contiguous()
+            .reshape(&[batch, down, stride, right, stride, channels][..])?;
+        let weight = weight.reshape((channels, ()))?.t()?.contiguous()?;
+        let mut sum = bias.broadcast_as((batch, rows, columns, channels))?;
+        for (i, j) in (0..kernel).flat_map(|i| (0..kernel).map(move |j| (i, j))) {
+            let seen = x
+                .narrow(1, i / stride, rows)?
+                .narrow(2, i % stride, 1)?
+                .narrow(3, j / stride, columns)?
+                .narrow(4, j % stride, 1)?
+                .squeeze(4)?
+                .squeeze(2)?;
+            sum = (sum + seen.broadcast_mul(&weight.get(i * kernel + j)?)?)?;
+        }
+        Ok(sum)
     }
 }
 
@@ -201,6 +220,15 @@ mod tests {
         assert_eq!(values(&strided), [0.5, 3.0, 2.5, 3.0, 6.5, 3.0, 8.5, 3.0]);
     }
 
+    /// By candle's convolution.
+    fn in_groups(conv: &DepthwiseConv2d, x: &Tensor) -> Result<Tensor> {
+        let (weight, bias) = conv.parameters.tensors()?;
+        let x = x.permute((0, 3, 1, 2))?.contiguous()?;
+        x.conv2d(weight, conv.kernel() / 2, conv.stride, 1, weight.dim(0)?)?
+            .permute((0, 2, 3, 1))?
+            .broadcast_add(bias)
+    }
+
     #[test]
     fn as_by_candle() {
         let make = |name: &str, shape: &[usize]| {
@@ -215,14 +243,16 @@ mod tests {
             // Not contiguous.
             let x = Tensor::randn(0.0_f32, 1.0, (2, 9, 6, channels + 3), &Device::Cpu).unwrap();
             let x = x.narrow(3, 2, channels).unwrap();
-            let got = conv.forward(&x, Activation::Silu).unwrap();
-            let want = conv
-                .plain(&x)
+            let want = in_groups(&conv, &x)
                 .and_then(|y| Activation::Silu.apply(&y))
                 .unwrap();
-            assert_eq!(got.dims(), want.dims());
-            let difference = (got - want).and_then(|d| d.abs()?.max_all()?.to_scalar::<f32>());
-            assert!(difference.unwrap() < 1e-5);
+            let plain = conv.plain(&x).and_then(|y| Activation::Silu.apply(&y));
+            let got = conv.forward(&x, Activation::Silu);
+            for got in [got.unwrap(), plain.unwrap()] {
+                assert_eq!(got.dims(), want.dims());
+                let difference = (got - &want).and_then(|d| d.abs()?.max_all()?.to_scalar::<f32>());
+                assert!(difference.unwrap() < 1e-5);
+            }
         }
     }
 

@@ -406,13 +406,18 @@ impl Conv2d {
             true => DType::F32,
             false => rounded,
         };
-        x.permute((0, 3, 1, 2))?
-            .to_dtype(rounded)?
-            .pad_with_zeros(2, before, after)?
-            .pad_with_zeros(3, before, after)?
+        let image = x.permute((0, 3, 1, 2))?.to_dtype(rounded)?;
+        let (image, padding) = match before == after {
+            true => (image, before),
+            false => {
+                let image = image.pad_with_zeros(2, before, after)?;
+                (image.pad_with_zeros(3, before, after)?, 0)
+            }
+        };
+        image
             .contiguous()?
             .to_dtype(multiplied)?
-            .conv2d(&weight.to_dtype(multiplied)?, 0, stride, 1, 1)?
+            .conv2d(&weight.to_dtype(multiplied)?, padding, stride, 1, 1)?
             .to_dtype(rounded)?
             .to_dtype(x.dtype())?
             .permute((0, 2, 3, 1))?
