@@ -38,6 +38,15 @@ pub fn tensor(pictures: &[RgbImage]) -> Result<Tensor> {
     Tensor::from_vec(values, shape, &Device::Cpu)
 }
 
+/// Whether all that the decoder gives are finite numbers.
+///
+/// # Errors
+/// None but candle's own.
+pub(super) fn is_finite(decoded: &Tensor) -> Result<bool> {
+    let numbers = decoded.flatten_all()?.to_vec1::<f32>()?;
+    Ok(numbers.iter().all(|x| x.is_finite()))
+}
+
 /// What the decoder gives (pictures, height, width, 3) in [0, 1], clamped.
 ///
 /// # Errors
@@ -117,6 +126,20 @@ pub fn latent_masks(masks: &[Map<bool>]) -> Result<Tensor> {
 mod tests {
     use super::*;
     use image::Rgb;
+
+    #[test]
+    fn infinity_and_what_is_no_number_are_no_picture() {
+        for (value, is) in [
+            (-0.7, true),
+            (f32::MAX, true),
+            (f32::INFINITY, false),
+            (f32::NEG_INFINITY, false),
+            (f32::NAN, false),
+        ] {
+            let decoded = Tensor::new(&[[0.5, value], [f32::MIN, 0.0]], &Device::Cpu).unwrap();
+            assert_eq!(is_finite(&decoded).unwrap(), is, "{value}");
+        }
+    }
 
     #[test]
     fn bytes_survive_the_networks_range() {

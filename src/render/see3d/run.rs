@@ -6,7 +6,7 @@ use super::{
     frames::Frames,
     job::{Job, Part},
     noise::{Normals, Purpose},
-    picture::{as_grey, from_unit_range, in_unit_range, squashed},
+    picture::{as_grey, from_unit_range, in_unit_range, is_finite, squashed},
     plan::Plan,
     preview::Colours,
     stage::{Settings, Stage},
@@ -226,15 +226,17 @@ impl<'a> Run<'a> {
             drop(unet);
         }
         let decoder = weights.decoder(self.plan.way.tiling())?;
-        let mut decoded = || {
-            let mut pictures = Vec::new();
-            for k in 0..part.targets.len() {
-                let decoded = decoder.decode_observed(&latents.narrow(0, k, 1)?, watch)?;
-                pictures.extend(from_unit_range(&in_unit_range(&decoded)?)?);
+        let mut pictures = Vec::new();
+        for k in 0..part.targets.len() {
+            let mut decode = || decoder.decode_observed(&latents.narrow(0, k, 1)?, watch);
+            let decoded = decode().map_err(failed)?;
+            if !is_finite(&decoded).map_err(failed)? {
+                return Err(no_picture());
             }
-            Ok(pictures)
-        };
-        decoded().map_err(failed)
+            let bytes = || from_unit_range(&in_unit_range(&decoded)?);
+            pictures.extend(bytes().map_err(failed)?);
+        }
+        Ok(pictures)
     }
 
     /// Latents of all frames.
@@ -496,6 +498,15 @@ impl Observer for Watch<'_> {
         let told = self.follower.reached((self.reached / self.total).min(1.0));
         self.stop = self.stop.take().or(told.err());
     }
+}
+
+/// Without it, what is no picture would be a black one.
+fn no_picture() -> Error {
+    Error::request(
+        "what See3D makes of these views is no picture: its numbers are infinite or none",
+        "check its weights with `tid3r weights verify`; if it computes in f16, whose numbers end at 65504, take \
+         --dtype bf16",
+    )
 }
 
 #[expect(
