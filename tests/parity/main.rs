@@ -5,15 +5,15 @@
 //! and every case below each folder in the environment variable `PARITY_CASES` (separated like
 //! `PATH`). A case of a module that is not listed in [`runner`] fails. `--nocapture` shows the figures of
 //! all tensors. Networks with synthetic weights are computed in bf16, too, and in f16 where that is computed, to
-//! tolerances of their own. `PARITY_DEVICE=cuda` has networks compute on a GPU, in a build for it, and compares the
-//! attention there with the CPU's.
+//! tolerances of their own. `PARITY_DEVICE=cuda` has networks compute on a GPU, in a build for it, and compares
+//! kernels there with the CPU's.
 
 #![expect(clippy::print_stdout, reason = "figures are for whoever asks for them")]
 
-mod attention;
 mod case;
 mod comparison;
 mod geometry;
+mod gpu;
 mod layers;
 mod lpips;
 mod mobilesamv2;
@@ -67,7 +67,7 @@ fn main() -> ExitCode {
             trials.extend(trials_below(&folder, arguments.nocapture));
         }
     }
-    trials.extend(attention::trials());
+    trials.extend(gpu::trials());
     libtest_mimic::run(&arguments, trials).exit_code()
 }
 

@@ -3,6 +3,8 @@
 mod batch_norm;
 mod depthwise;
 mod parameters;
+#[cfg(feature = "cuda")]
+mod product;
 #[cfg(test)]
 mod tests;
 mod transpose;
@@ -391,8 +393,12 @@ impl Conv2d {
         }
     }
 
-    /// The convolution by candle's own operations.
+    /// The convolution where candle's own operations compute.
     pub(in crate::nn) fn plain(&self, x: &Tensor) -> Result<Tensor> {
+        #[cfg(feature = "cuda")]
+        if let Some(y) = self.by_product(x)? {
+            return Ok(y);
+        }
         let (weight, bias) = self.parameters.tensors()?;
         let Steps {
             stride,

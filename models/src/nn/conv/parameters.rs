@@ -21,6 +21,9 @@ pub(super) struct Parameters {
     device: Device,
     /// See [`Self::tensors`].
     tensors: Arc<OnceLock<(Tensor, Tensor)>>,
+    /// See [`Self::by_place`].
+    #[cfg(feature = "cuda")]
+    by_place: Arc<OnceLock<(Tensor, Tensor)>>,
 }
 
 /// Parameters with the norm folded in, in the CPU's memory.
@@ -45,6 +48,8 @@ impl Parameters {
             compute_type: weights.compute_type(),
             device: weights.device().clone(),
             tensors: Arc::default(),
+            #[cfg(feature = "cuda")]
+            by_place: Arc::default(),
         })
     }
 
@@ -63,6 +68,8 @@ impl Parameters {
         Ok(Self {
             norm: Some(norm.clone()),
             tensors: Arc::default(),
+            #[cfg(feature = "cuda")]
+            by_place: Arc::default(),
             ..self.clone()
         })
     }
@@ -128,13 +135,31 @@ impl Parameters {
     /// Weight, in what is computed with, and bias, in f32, with the norm folded in, as candle's tensors where it
     /// computes. They are made when they are first needed, and shared by clones.
     pub(super) fn tensors(&self) -> Result<&(Tensor, Tensor)> {
-        if let Some(tensors) = self.tensors.get() {
+        self.made_once(&self.tensors, Ok)
+    }
+
+    /// As [`Self::tensors`], but the weight is (kernel * kernel * inputs, outputs), for products with what windows see.
+    #[cfg(feature = "cuda")]
+    pub(super) fn by_place(&self) -> Result<&(Tensor, Tensor)> {
+        self.made_once(&self.by_place, |weight| {
+            let by_place = weight.permute((0, 2, 3, 1))?.contiguous()?;
+            by_place.reshape((self.outputs(), ()))?.t()
+        })
+    }
+
+    /// Weight, as `arrange` has it, and bias, from `once` or else for it.
+    fn made_once<'a>(
+        &self,
+        once: &'a OnceLock<(Tensor, Tensor)>,
+        arrange: impl FnOnce(Tensor) -> Result<Tensor>,
+    ) -> Result<&'a (Tensor, Tensor)> {
+        if let Some(tensors) = once.get() {
             return Ok(tensors);
         }
         let (weight, bias) = self.folded_tensors()?;
         self.weight.release();
-        let tensors = (weight.to_dtype(self.compute_type.dtype())?, bias);
-        Ok(self.tensors.get_or_init(|| tensors))
+        let tensors = (arrange(weight.to_dtype(self.compute_type.dtype())?)?, bias);
+        Ok(once.get_or_init(|| tensors))
     }
 
     /// Both in f32.

@@ -8,6 +8,7 @@ use tid3r_models::{
     nn::{Memory, attention_by_group, causal_attention},
 };
 
+use super::wave;
 use crate::case::device;
 
 /// Channels of a head: those that there is a kernel for, and fewer.
@@ -48,11 +49,8 @@ const TASKS: [Task; 8] = [
     },
 ];
 
-/// A test for each type and number of channels, if networks compute on a GPU.
-pub(crate) fn trials() -> Vec<Trial> {
-    if device().is_ok_and(Device::is_cpu) {
-        return Vec::new();
-    }
+/// A test for each type and number of channels.
+pub(super) fn trials() -> Vec<Trial> {
     let types = ComputeType::ALL
         .iter()
         .filter(|&&of| of != ComputeType::F32);
@@ -151,11 +149,4 @@ impl Task {
         };
         (0..self.groups).map(of_group).collect()
     }
-}
-
-/// A made-up number from -1 to 1.
-fn wave(i: usize) -> f32 {
-    let mixed = (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    let mixed = (mixed ^ mixed >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93);
-    (mixed >> 40) as f32 / (1 << 23) as f32 - 1.0
 }

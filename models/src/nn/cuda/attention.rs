@@ -1,4 +1,4 @@
-//! Kernels for GPUs of NVIDIA: `kernels/attention.cu`.
+//! Attention: `kernels/attention.cu`.
 
 use std::f32::consts::LOG2_E;
 
@@ -14,18 +14,17 @@ use candle_core::{
 };
 use half::{bf16, f16};
 
-use super::Memory;
+use super::{CHUNK, has_kernels};
+use crate::nn::Memory;
 
 const PTX: &str = include_str!(concat!(env!("OUT_DIR"), "/attention.ptx"));
-/// The first generation of GPUs that the kernels are for.
-const CAPABILITY: (i32, i32) = (8, 0);
 const THREADS: u32 = 128;
 /// Queries of a block of threads; twice as many are in a wide one.
 const QUERIES: usize = 64;
 /// Channels of a head that there are kernels for, which take fewer, too; and whether there are wide ones.
 const DIMS: [(usize, bool); 4] = [(16, true), (32, true), (64, true), (80, false)];
-/// Numbers that are read at a time: 16 bytes.
-const CHUNK: usize = 8;
+/// Numbers that are read at a time.
+const NUMBERS: usize = CHUNK / size_of::<u16>();
 /// Memories that a kernel is told of.
 const MEMORIES: usize = 48;
 /// Memories that groups attend to, a memory counted for each of its groups.
@@ -77,7 +76,7 @@ unsafe impl DeviceRepr for Arguments {}
 /// # Errors
 ///
 /// Those of CUDA.
-pub(super) fn attention(
+pub(in crate::nn) fn attention(
     q: &Tensor,
     groups: &[impl AsRef<[Memory]>],
     heads: usize,
@@ -90,7 +89,7 @@ pub(super) fn attention(
     if !matches!(dtype, DType::BF16 | DType::F16)
         || q.elem_count() == 0
         || heads == 0
-        || !channels.is_multiple_of(heads * CHUNK)
+        || !channels.is_multiple_of(heads * NUMBERS)
         || groups.is_empty()
         || !all.is_multiple_of(groups.len())
     {
@@ -184,12 +183,12 @@ impl Kernel {
         let Some(&(dim, has_wide)) = DIMS.iter().find(|(most, _)| dim <= *most) else {
             return Ok(None);
         };
-        let stream = device.cuda_stream();
-        let context = stream.context();
-        if context.compute_capability().w()? < CAPABILITY {
+        if !has_kernels(device)? {
             return Ok(None);
         }
-        let multiprocessors = context
+        let stream = device.cuda_stream();
+        let multiprocessors = stream
+            .context()
             .attribute(CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)
             .w()?;
         let of = |tiles| Self {
@@ -243,7 +242,7 @@ impl<'a> Listed<'a> {
 fn readable(x: &Tensor, dtype: DType) -> Result<Tensor> {
     let x = x.to_dtype(dtype)?;
     let steps = [x.layout().start_offset(), x.stride()[0], x.stride()[1]];
-    match x.stride()[2] == 1 && steps.iter().all(|step| step.is_multiple_of(CHUNK)) {
+    match x.stride()[2] == 1 && steps.iter().all(|step| step.is_multiple_of(NUMBERS)) {
         true => Ok(x),
         false => x.force_contiguous(),
     }
