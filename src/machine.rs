@@ -119,6 +119,7 @@ pub fn readable_bytes(bytes: u64) -> String {
 /// `seconds` for people.
 pub fn readable_seconds(seconds: f64) -> String {
     match seconds {
+        s if s < 9.95 => format!("{s:.1} s"),
         s if s < 99.5 => format!("{s:.0} s"),
         s if s < 570.0 => format!("{:.1} min", s / 60.0),
         s if s < 5400.0 => format!("{:.0} min", s / 60.0),
@@ -156,6 +157,8 @@ mod tests {
     fn amounts_are_readable() {
         assert_eq!(readable_bytes(2_650_000_000), "2.6 GB");
         assert_eq!(readable_bytes(51_400_000), "51 MB");
+        assert_eq!(readable_seconds(3.44), "3.4 s");
+        assert_eq!(readable_seconds(9.96), "10 s");
         assert_eq!(readable_seconds(42.4), "42 s");
         assert_eq!(readable_seconds(150.0), "2.5 min");
         assert_eq!(readable_seconds(601.0), "10 min");
